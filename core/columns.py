@@ -7,7 +7,7 @@ that unit in their name (`speed_kmh`, `energy_kwh`). Units are spelled as `pint`
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import inf, pi
-from typing import Final
+from typing import Final, Literal, get_args
 
 SECONDS_PER_DAY: Final = 86_400.0
 """Duration of a day of Unix time, which has no leap seconds. [s]"""
@@ -23,6 +23,10 @@ JOULES_PER_KWH: Final = 3.6e6
 """One kilowatt-hour. [J]"""
 STANDARD_AIR_DENSITY: Final = 1.225
 """Density of dry air at 15 °C and 101,325 Pa. [kg/m^3] ISO 2533:1975, Table 1."""
+PowerSpan = Literal["moment", "before", "around", "after"]
+"""What the power of a sample covers: its moment, or as a mean the period before, around or after it."""
+POWER_SPANS: Final[tuple[str, ...]] = get_args(PowerSpan)
+"""The same as a list; arrays hold places in it, 0 for the moment."""
 SPEED_BIN_KMH: Final = 5
 """Width of a bin of the speed histogram, Table 1 of the paper. [km/h]"""
 SPEED_BINS: Final = 21

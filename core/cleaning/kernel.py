@@ -85,11 +85,11 @@ def new_lane_state(lanes: int) -> NDArray[np.void]:
 
 _INPUTS: Final = (
     *(f"raw_{name}" for name in Batch._fields),
-    *("raw_capacity", "raw_period"),
+    *("raw_capacity", "raw_period", "raw_power_span"),
     *(f"map_{name}" for name in Ground._fields),
     *("cos_latitude", "sin_latitude"),
 )
-"""Columns of a sample, the capacity and period of its car, and the ground under it: the first fields of `_ROW`.
+"""Columns of a sample, what its car has announced, and the ground under it: the first fields of `_ROW`.
 
 The last two are derived from them, so that they are computed once."""
 _ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
@@ -139,9 +139,17 @@ class Cleaner:
         self.state = new_lane_state(0)
         self.fleet_clock = new_fleet_clock()
 
-    def clean(self, batch: Batch, lanes: int, capacity: Floats | float = nan, period: Floats | float = nan) -> Clean:
+    def clean(
+        self,
+        batch: Batch,
+        lanes: int,
+        capacity: Floats | float = nan,
+        period: Floats | float = nan,
+        power_span: Floats | float = 0.0,
+    ) -> Clean:
         """Clean a batch without messages of dispatch, see `clean_between`."""
-        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS, capacity, period)[0]
+        of_cars = capacity, period, power_span
+        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS, *of_cars)[0]
 
     def clean_between(
         self,
@@ -151,6 +159,7 @@ class Cleaner:
         ride_events: NDArray[np.void],
         capacity: Floats | float,
         period: Floats | float,
+        power_span: Floats | float = 0.0,
     ) -> tuple[Clean, NDArray[np.void]]:
         """Clean a batch, with the messages of dispatch between its rows, and advance the state of its lanes.
 
@@ -160,14 +169,16 @@ class Cleaner:
             Capacity to which the state of charge refers; where it is unknown (NaN), it is not compared with V·I. [J]
         period : (n,) float or float
             Period that the car has announced, 0 for a logger without one, NaN for that of the settings. [s]
+        power_span : (n,) float or float
+            What the power of a sample covers, as its place in `socast.core.columns.POWER_SPANS`.
         """
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
         out = np.empty((len(Clean._fields), batch.size))
         row = np.zeros(1, _ROW)
-        samples = np.empty((len(batch) + 2, batch.size))
-        np.stack(batch, out=samples[:-2])
-        samples[-2:] = np.broadcast_to(capacity, batch.size), np.broadcast_to(period, batch.size)
+        samples = np.empty((len(batch) + 3, batch.size))
+        np.stack(batch, out=samples[:-3])
+        samples[-3:] = [np.broadcast_to(each, batch.size) for each in (capacity, period, power_span)]
         found = self.map_lookup.find_ground(batch)
         ground = np.stack(found) if found else np.empty((0, batch.size))
         ends = np.empty(batch.size + lanes + len(ride_events), RIDE_END)

@@ -16,7 +16,7 @@ from numba import njit
 
 from socast.core.cleaning.power_sign import observe_charge
 from socast.core.cleaning.quality import Quality
-from socast.core.columns import KMH
+from socast.core.columns import KMH, POWER_SPANS
 
 FIELDS: Final = (
     "power",  # [W]
@@ -73,6 +73,12 @@ LATEST_CHANGE: Final = 6.0
 
 Chosen so that the errors of simulated rides are within their standard uncertainties."""
 
+BEFORE: Final = float(POWER_SPANS.index("before"))
+AFTER: Final = float(POWER_SPANS.index("after"))
+MEAN_NOISE: Final = 0.01
+"""Variance of the energy of a step with mean power, over that with the powers of moments. [1]
+
+Estimated: the means hold the whole energy, so that noise of the meter and of the stamps remains."""
 AWAKE: Final = 2000.0
 """Distance after a pause from which the state of charge is no longer that from before it. [m]"""
 FROZEN_TIME: Final = 30.0
@@ -144,8 +150,8 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     The energy is the trapezoid of voltage times current. Let the power change by dP between two samples. The integral
     has the variance (dP dt)^2 / 12 if the power wanders like a Brownian bridge, and (dP dt)^2 / 2 if it is noise; see
     `find_variance_factor` for what lies between. A logger without a period has sent nothing because the power stayed
-    what it was, so its power is held. Where the power is unknown, the mean of the ride fills it, with the variance of
-    what cars usually do in that time.
+    what it was, so its power is held. A mean power counts for its own period, so that its energy is known. Where the
+    power is unknown, the mean of the ride fills it, with the variance of what cars usually do in that time.
     """
     power = row.raw_voltage * row.raw_current
     state.unmetered += dt
@@ -166,11 +172,21 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
             row.energy = (0.5 * (power + before) if state.has_period == 1.0 else before) * dt
             unknown = dt if state.has_period == 1.0 else min(dt, LATEST_CHANGE)
             row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
+            if row.raw_power_span > 0.0 and dt <= 1.5 * state.period:
+                take_mean_power(row, power, before, dt)
             row.metered = dt
     if row.metered == 0.0 and dt > 0.0:
         row.energy_variance = find_unseen_variance(state.unmetered) - find_unseen_variance(state.unmetered - dt)
     state.unmetered = state.unmetered if isnan(power) else 0.0
     state.power = power
+
+
+@njit(cache=False)
+def take_mean_power(row: Any, power: float, before: float, dt: float) -> None:
+    """Set the energy of a step whose samples hold mean powers, and its variance."""
+    of_span = before if row.raw_power_span == AFTER else 0.5 * (power + before)
+    row.energy = (power if row.raw_power_span == BEFORE else of_span) * dt
+    row.energy_variance *= MEAN_NOISE
 
 
 @njit(cache=False)

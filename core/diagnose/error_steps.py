@@ -21,7 +21,7 @@ def compute_steps(selection: Selection, floor: float) -> list[ErrorAfterEffect]:
     rows: list[ErrorAfterEffect] = []
     before = np.empty(0)
     for count in range(len(selection.effects) + 1):
-        error = _compute_errors(selection.keep(selection.effects[:count]))
+        error = compute_held_out_errors(selection.keep(selection.effects[:count]))
         mean = compute_clustered_mean(error, days)
         change = compute_clustered_mean(error - before, days) if len(before) else None
         rows.append(
@@ -39,7 +39,7 @@ def compute_steps(selection: Selection, floor: float) -> list[ErrorAfterEffect]:
     return rows
 
 
-def _compute_errors(selection: Selection) -> Floats:
+def compute_held_out_errors(selection: Selection) -> Floats:
     """Return the absolute error of each ride beside the selected effects, (rides,). [kWh]"""
     left = selection.compute_held_out_residual(selection.build_basis())
     return np.asarray(np.abs(selection.base.windows.by_ride(selection.base.convert_to_energy(left))))

@@ -40,6 +40,8 @@ class MissingEffect:
         Effects that could explain the same, with their shares of that probability, the largest first. [1]
     gain : Estimate
         Share of the squared error of rides that it explains on held-out days beside the other missing effects. [1]
+    expected : bool
+        Whether physics expects it in every car, so that it is no surprise.
     """
 
     variant: str
@@ -48,6 +50,7 @@ class MissingEffect:
     probability: float
     causes: dict[str, float]
     gain: Estimate = UNKNOWN_GAIN
+    expected: bool = False
 
     @property
     def effect(self) -> str:
@@ -134,22 +137,34 @@ class Selection:
 def list_missing(inference: Inference) -> list[MissingEffect]:
     """Return the effects that are missing in all cars at all times.
 
-    An effect that physics expects is missing if its 95 % interval lies above the lower end of its plausible range, too.
+    An effect whose 95 % interval lies below its plausible range is negligible. One that physics expects is missing if
+    its interval lies above the lower end of that range.
     """
     found = [
         MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
         for one in inference.findings
-        if one.is_likely and not one.family.is_scoped
+        if one.is_likely and not one.family.is_scoped and _is_large(one.variant, one.size.estimate)
     ]
     for one in inference.expected:
         low, _ = one.size.estimate.interval
         if one.is_likely and low >= min(abs(limit) for limit in _range(one.effect)):
             found.append(
                 MissingEffect(
-                    one.effect, one.column[:, np.newaxis], one.size.estimate, one.probability, {one.effect: 1.0}
+                    one.effect,
+                    one.column[:, np.newaxis],
+                    one.size.estimate,
+                    one.probability,
+                    {one.effect: 1.0},
+                    expected=True,
                 )
             )
     return found
+
+
+def _is_large(effect: str, size: Estimate) -> bool:
+    """Return whether a coefficient reaches its plausible range, by absolute value."""
+    least = min(abs(limit) for limit in _range(effect))
+    return max(abs(limit) for limit in size.interval) >= least
 
 
 def _range(effect: str) -> tuple[float, float]:
@@ -161,7 +176,7 @@ def _range(effect: str) -> tuple[float, float]:
 def select_missing(
     base: BaseProjection, inference: Inference, clusters: Sequence[ClusterSums], seed: int = 0, least_gain: float = 0.0
 ) -> Selection:
-    """Return the missing effects, plausible ones first, those with the largest gain first.
+    """Return the missing effects: plausible ones, then those that physics expects in every car, each by gain.
 
     Parameters
     ----------
@@ -178,7 +193,7 @@ def select_missing(
     with_gain = [replace(each, gain=given.compute_gain(each)) for each in given.effects]
     if least_gain > 0.0:
         with_gain = [each for each in with_gain if each.gain.value >= least_gain]
-    ranked = sorted(with_gain, key=lambda each: (not _is_plausible(each), -each.gain.value))
+    ranked = sorted(with_gain, key=lambda each: (not _is_plausible(each), each.expected, -each.gain.value))
     if not ranked:
         return given.keep(())
     return Selection(base.reweight(np.column_stack([each.column for each in ranked])), clusters, tuple(ranked), seed)

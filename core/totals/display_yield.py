@@ -281,19 +281,19 @@ class DisplayYields:
 
     def _learn(self, rides: Totals) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Learn from rides of different cars that have closed; return which were used, and whose meters contradict."""
-        energy, _ = measure_by_power(rides)
+        energy, _ = measure_by_power(rides, self._cars)
         first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
         known = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_inverted(rides)
         used = known & ~find_soc_faults(rides, self._cars)
         contradicted = known & is_only_stale(rides)
-        contradicted &= find_contradictions(rides, self._lanes["rides"][rides.lane])
+        contradicted &= find_contradictions(rides, self._lanes["rides"][rides.lane], self._cars)
         if used.any():
             contradicted[used] = self._learn_healthy(rides.rows(np.flatnonzero(used)))
         return used, contradicted
 
     def _learn_healthy(self, rides: Totals) -> NDArray[np.bool_]:
         """Learn from rides whose meters are known and healthy; return where they contradict each other."""
-        energy, sd = measure_by_power(rides)
+        energy, sd = measure_by_power(rides, self._cars)
         first, last = rides.at_first("soc"), rides.at_last("soc")
         fall, bend = first - last, (first**2 - first) - (last**2 - last)
         known = self._lanes[rides.lane]
@@ -301,7 +301,7 @@ class DisplayYields:
         mean = (each.k * each.probability).sum(axis=1)
         of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
         of_ride += (RIDE_SD * mean * energy) ** 2
-        contradicted = find_contradictions(rides, known["rides"])
+        contradicted = find_contradictions(rides, known["rides"], self._cars)
         energy, fall, bend, of_ride = (column[:, np.newaxis] for column in (energy, fall, bend, of_ride))
         noise = of_ride + READING_SDS**2
         variance = (
@@ -314,9 +314,9 @@ class DisplayYields:
         return contradicted
 
 
-def find_contradictions(rides: Totals, learned: Floats) -> NDArray[np.bool_]:
+def find_contradictions(rides: Totals, learned: Floats, cars: Cars) -> NDArray[np.bool_]:
     """Return where V·I and the state of charge contradict each other, whatever part of a stale fall is from before."""
-    (energy, sd), (by_soc, soc_sd) = measure_by_power(rides), measure_by_soc(rides)
+    (energy, sd), (by_soc, soc_sd) = measure_by_power(rides, cars), measure_by_soc(rides)
     before = rides.amount("stale_fall") / rides.display["inverse"]
     excess = by_soc - energy
     excess = excess - np.clip(excess, np.minimum(before, 0.0), np.maximum(before, 0.0))

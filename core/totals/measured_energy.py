@@ -82,7 +82,7 @@ class MeasuredEnergy(NamedTuple):
     source: Ints
 
 
-def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
+def measure_by_power(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
     """Return the energy measured by voltage and current, and its standard uncertainty.
 
     Returns
@@ -94,12 +94,13 @@ def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
     -----
     The mean power of the measured time fills the time without a measurement (gaps, missing values, a frozen current).
     Three terms add up in quadrature: the gain of the meter, the power between samples and where it is unknown, and ends
-    lost in gaps. A slow logger has few steps, so its variance is averaged with the expected one.
+    lost in gaps. A slow logger has few steps, so its variance is averaged with the expected one, unless its samples
+    hold mean powers.
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
     share = _metered_share(totals)
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= METERED_SHARE)
-    sampled = np.sqrt(_estimate_variance(totals)) / JOULES_PER_KWH
+    sampled = np.sqrt(_estimate_variance(totals, cars)) / JOULES_PER_KWH
     return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + _cut(totals, whole) ** 2)
 
 
@@ -109,8 +110,10 @@ def _metered_share(totals: Totals) -> Floats:
     return np.divide(totals.amount("metered"), duration, out=np.zeros(len(duration)), where=duration > 0.0)
 
 
-def _expect_variance(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the variance that the energy by V·I is expected to have [J^2], and where the logger is slow.
+def _expect_variance(totals: Totals, cars: Cars) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the variance that the energy by V·I is expected to have [J^2], and where the logger misses that much.
+
+    A logger misses it that is slow and samples the powers of moments.
 
     The expected variance follows from the time between samples and the duration alone, see
     `socast.core.cleaning.meters.find_variance_factor`.
@@ -119,13 +122,14 @@ def _expect_variance(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
     step = np.maximum(duration / np.maximum(samples, 1.0), SLOW)
     a = step / CORRELATION_TIME
     per_time = POWER_SPREAD**2 * step * (1.0 / np.tanh(0.5 * a) - 2.0 / a)
-    return per_time * duration, (samples > 0.0) & (step > SLOW)
+    of_moments = cars.power_span[totals.at_last("kind").astype(np.int64)] == 0.0
+    return per_time * duration, (samples > 0.0) & (step > SLOW) & of_moments
 
 
-def _estimate_variance(totals: Totals) -> Floats:
+def _estimate_variance(totals: Totals, cars: Cars) -> Floats:
     """Return the variance of the energy by V·I because the power between two samples is unknown. [J^2]"""
     observed = totals.amount("energy_variance")
-    expected, slow = _expect_variance(totals)
+    expected, slow = _expect_variance(totals, cars)
     steps = totals.amount("samples")
     mixed = (steps * observed + EXPECTED_STEPS * expected) / (steps + EXPECTED_STEPS)
     return np.where(slow, mixed, observed)
@@ -259,7 +263,7 @@ def measure_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
         By V·I wherever it is known, except where a healthy state of charge is expected to measure a slow logger's
         energy better; else by a healthy state of charge.
     """
-    power, power_sd = measure_by_power(totals)
+    power, power_sd = measure_by_power(totals, cars)
     soc, soc_sd = measure_by_soc(totals)
     is_healthy = ~np.isnan(soc) & ~find_soc_faults(totals, cars)
     by_soc = is_healthy & (np.isnan(power) | _is_finer(totals, cars))
@@ -269,7 +273,7 @@ def measure_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
 
 def _is_finer(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     """Return where the logger is slow, and its state of charge is expected to measure better than V·I."""
-    expected, slow = _expect_variance(totals)
+    expected, slow = _expect_variance(totals, cars)
     display = totals.display
     of_soc = (find_quantum(totals) ** 2 / 6.0 + display["reading_variance"]) / display["inverse"] ** 2
     has_period = cars.period[totals.at_last("kind").astype(np.int64)] != 0.0

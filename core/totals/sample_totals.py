@@ -98,7 +98,7 @@ class SampleTotals:
         """Clean samples and look up their weather, with the messages that came between them."""
         place = np.arange(batch.size) if place is None else place
         cars = self._context.cars
-        of_cars = cars.capacity.take(kind) * JOULES_PER_KWH, cars.period.take(kind)
+        of_cars = cars.capacity.take(kind) * JOULES_PER_KWH, cars.period.take(kind), cars.power_span.take(kind)
         clean, ends = self.cleaner.clean_between(batch, len(self._context.lanes), place, ride_events, *of_cars)
         sky = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
         clean = clean._replace(quality=flag_ambient(clean, sky))

@@ -30,6 +30,7 @@ from socast.core.totals.measured_energy import (
     measure_by_soc,
     measure_energy,
 )
+from socast.core.vehicles.fleet import Cars
 
 CUT: Final = 0.1
 """Largest share of its duration that a ride fit for training may lack at its beginning and end. [1]"""
@@ -82,7 +83,7 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     }
     if "vehicle_id" in needs:
         texts["vehicle_id"] = np.array([context.vehicle_ids[lane] for lane in totals.lane.tolist()], dtype=object)
-    return columns | _physical(totals, measure_energy(totals, cars)) | texts
+    return columns | _physical(totals, measure_energy(totals, cars), cars) | texts
 
 
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
@@ -152,9 +153,9 @@ def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
     return np.divide(totals.amount(name), over, out=np.full(len(over), np.nan), where=over > 0.0)
 
 
-def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
+def _physical(totals: Totals, measured: MeasuredEnergy, cars: Cars) -> dict[str, Floats]:
     """Return the columns that rides and windows share, without effects and parameters of cars."""
-    energy_vi, energy_vi_sd = measure_by_power(totals)
+    energy_vi, energy_vi_sd = measure_by_power(totals, cars)
     energy_soc, energy_soc_sd = measure_by_soc(totals)
     capacity, capacity_sd = find_usable_capacity(totals)
     speed = _mean(totals, "distance")
@@ -219,7 +220,7 @@ def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
         "energy_source": _named(measured.source, SOURCES.__getitem__),
     }
     edges = {"power_start_w": totals.at_first("power"), "power_end_w": totals.at_last("power")}
-    return pd.DataFrame(own | edges | _physical(totals, measured) | model_columns(totals, context))
+    return pd.DataFrame(own | edges | _physical(totals, measured, context.cars) | model_columns(totals, context))
 
 
 def tabulate_rides(
@@ -236,7 +237,7 @@ def tabulate_rides(
         Names that the logger gave. A ride without a name gets the name of its vehicle and its ordinal.
     """
     measured = measure_energy(totals, context.cars)
-    physical = _physical(totals, measured)
+    physical = _physical(totals, measured, context.cars)
     kinds = totals.at_last("kind").astype(np.int64)
     keys = _ride_keys(totals, context.vehicle_ids)
     start = physical["start_s"]

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.columns import POWER_SPANS
 from socast.core.settings import Limits
 from socast.core.vehicles.catalogue import OUT_OF_RANGE, UNKNOWN_MODEL, VehicleModel, vehicle_model
 from socast.core.wire.message_order import VehicleChange
@@ -80,6 +81,8 @@ class Cars:
         Usable capacity of each kind, nominal where the usable one is unknown. [kWh]
     period : (kinds,) float
         Period of the loggers of each kind as announced, NaN where it was not. [s]
+    power_span : (kinds,) float
+        What the power of a sample covers, as its place in `POWER_SPANS`.
     of_lane : (lanes,) int
         Kind of the car of each lane.
     unpredictable : Counter of str
@@ -94,6 +97,7 @@ class Cars:
         self.parameters: Floats = np.full((1, len(CarParameters._fields)), np.nan)
         self.capacity: Floats = np.full(1, np.nan)
         self.period: Floats = np.full(1, np.nan)
+        self.power_span: Floats = np.zeros(1)
         self.of_lane: Ints = np.zeros(0, np.int64)
         self.unpredictable: Counter[str] = Counter()
         self._reasons: list[str | None] = [None]
@@ -166,6 +170,7 @@ class Cars:
         self.capacity = np.append(self.capacity, capacity)
         period = None if described == OUT_OF_RANGE else content.period_s
         self.period = np.append(self.period, np.nan if period is None else period)
+        self.power_span = np.append(self.power_span, float(POWER_SPANS.index(content.power_covers or "moment")))
         self._kinds[key] = kind
         return kind
 

@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
+from socast.core.columns import PowerSpan
 from socast.core.wire.live_fields import LiveDisplay, Packing, TerminalHead, means
 
 IDENTITY: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -94,6 +95,14 @@ class Vehicle(Wire):
         means(
             "Time between two samples of the logger, 0.1 to 60 s; 0 for a logger without a period, which "
             "sends a sample when a value has changed, and at least every 60 s. Without it the period is estimated. [s]"
+        ),
+    ] = None
+    power_covers: Annotated[
+        PowerSpan | None,
+        means(
+            "What voltage times current of a sample is: the power of its moment (`moment`, as without the field), or "
+            "the mean over the period that ends at it (`before`), has it in its middle (`around`), or begins at it "
+            "(`after`)."
         ),
     ] = None
     in_service_date: Annotated[Name | None, means("Date of first registration, ISO 8601; accepted and not used.")] = (

@@ -71,6 +71,13 @@ def import_drives(
             "dates.",
         ),
     ] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Csv and parquet: observations of weather stations, as of Open-Meteo or of an airport.",
+        ),
+    ] = None,
     vehicle_model: Annotated[
         str | None,
         typer.Option(metavar="KEY", help="Csv and parquet: vehicle model of cars for which MAP.toml names none."),
@@ -124,14 +131,16 @@ def import_drives(
         changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone}
         if wrong := [option for option, value in changed.items() if value]:
             raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
-        options = TableImport(map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence)
+        options = TableImport(
+            map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
+        )
         import_tables(data_set, paths, options)
         return
     chosen = get_data_set(data_set)
-    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset, sequence)):
+    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset, sequence, weather)):
         raise SettingsError(
-            "--map, --guess, --preset, --html, --sequence and --vehicle-model apply to csv and parquet only; "
-            f"leave them out for {data_set}"
+            "--map, --guess, --preset, --html, --sequence, --weather and --vehicle-model apply to csv and parquet "
+            f"only; leave them out for {data_set}"
         )
     if out is None:
         raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")

@@ -9,13 +9,14 @@ import typer
 from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.simulator.hidden_shapes import OTHER, get_power
 from socast.tools.simulator.settings import parse_start
+from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import write_spiked
 from socast.tools.spikein.records import SpikeTruth
 from socast.tools.spikein.spike import Spike
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, show_report, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, show_shares, warn_of_losses
 
 LARGEST: Final = 0.5
 """Largest size of an effect. [1]"""
@@ -25,14 +26,19 @@ def spikein(
     recordings: Recordings,
     *,
     effect: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Effect: {', '.join(sorted(EFFECTS))}; followed by {OTHER}, the same phenomenon by another formula.",
+            help=f"Effect: {', '.join(sorted(EFFECTS))}; followed by {OTHER}, the same phenomenon by another formula. "
+            "With --score: names separated by commas, by default all.",
         ),
-    ],
+    ] = None,
     size: Annotated[
-        str, typer.Option(metavar="SHARE", help="Energy of the effect over that of the cars, such as 3% or 0.03.")
+        str,
+        typer.Option(
+            metavar="SHARE",
+            help="Energy of the effect over that of the cars, such as 3% or 0.03. With --score: several, as 2%,4%.",
+        ),
     ] = "3%",
     vehicles: Annotated[
         str | None, typer.Option(metavar="A,B", help="Cars that have the effect. Default: all.")
@@ -41,7 +47,13 @@ def spikein(
         str | None, typer.Option(metavar="DATE", help="Day or time, UTC, from which they have it. Default: always.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Random seed of tyre pressures, brakes, wear and made-up weather.")] = 0,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="F.mcap", help="Recording to write.")],
+    score: Annotated[
+        bool, typer.Option("--score", help="Diagnose the recordings with and without each effect, and compare.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="F.mcap", help="Recording to write; not with --score.")
+    ] = None,
+    html_file: HtmlFile = None,
     json_file: JsonFile = None,
 ) -> None:
     """Put a known effect into recordings, merged in time order, and write its truth beside the result.
@@ -49,7 +61,7 @@ def spikein(
     The current of each sample changes by the power of the effect over the voltage; of a car that sends no current, the
     state of charge changes. All other bytes stay. The formulas are those of the simulator and not those of the models,
     so a diagnosis that finds the effect has not merely met its own formula again. Drives without the effect are the
-    placebo: compare what is said of both.
+    placebo: compare what is said of both, or let --score compare them for many effects and sizes.
 
     Where the effect needs wind, rain, sun or humidity and the recordings hold no weather, a made-up station is added.
 
@@ -57,23 +69,51 @@ def spikein(
     --------
     socast spikein recordings/autumn.mcap --effect headwind --size 4% -o spiked.mcap
     socast spikein drives.mcap --effect standby --size 3% --vehicles car-1 --since 2023-05-05 -o spiked.mcap
+    socast spikein drives.mcap --score --effect headwind,standby,cabin_heating --size 2%,4% --html score.html
     """
+    if score == (out is not None):
+        raise SettingsError("a recording is written with -o F.mcap, and none with --score: give one of the two")
+    if not score and effect is None:
+        raise SettingsError(f"--effect is missing; choose from {', '.join(sorted(EFFECTS))}")
+    begin = parse_start(since).timestamp() if since else None
+    cars = _split(vehicles or "")
+    if score:
+        chosen = _split(effect or ",".join(sorted(EFFECTS)))
+        choice = ScoreChoice(chosen, tuple(map(parse_size, _split(size))), cars, begin, (seed,))
+        _score(recordings, choice, html_file, json_file)
+        return
+    assert out is not None  # checked above
+    assert effect is not None  # checked above
+    if html_file is not None:
+        raise SettingsError("--html shows a score: give --score, or leave it out")
     sources = open_recordings(recordings)
     truth_file = out.with_name(f"{out.name}.truth.json")
     check_outputs(recordings, out, truth_file, json_file)
-    spike = Spike(
-        effect,
-        parse_size(size),
-        tuple(filter(None, (part.strip() for part in (vehicles or "").split(",")))),
-        parse_start(since).timestamp() if since else None,
-        seed,
-    )
-    truth = write_spiked(sources, spike, out)
+    truth = write_spiked(sources, Spike(effect, parse_size(size), cars, begin, seed), out)
     write_json(json_file, "spikein", truth)
     console = make_console(json_file)
     for line in describe(truth, out, truth_file):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     warn_of_losses(sources)
+
+
+def _split(text: str) -> tuple[str, ...]:
+    """Return the parts of a list separated by commas."""
+    return tuple(filter(None, (part.strip() for part in text.split(","))))
+
+
+def _score(recordings: list[Path], choice: ScoreChoice, html_file: Path | None, json_file: Path | None) -> None:
+    """Score the diagnosis and show the result."""
+    from socast.tools.spikein.score import score_spikes  # noqa: PLC0415 - what diagnoses takes seconds to import
+
+    for name in choice.effects:
+        get_power(name)
+    open_recordings(recordings)
+    check_outputs(recordings, html_file, json_file)
+    with show_shares("scoring") as report:
+        result = score_spikes(recordings, choice, report)
+    write_json(json_file, "spikein-score", result)
+    show_report("spikein", result, html_file, json_file)
 
 
 def parse_size(text: str) -> float:

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.columns import SECONDS_PER_DAY
+from socast.core.columns import SECONDS_PER_DAY, PowerSpan
 from socast.core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
 
 LONGEST_DRIVE: Final = SECONDS_PER_DAY
@@ -244,11 +244,20 @@ def make_messages(drives: Sequence[Drive], period: float) -> list[Message]:
         first, last = telemetry[0].time_s, telemetry[-1].time_s
         fleet = f"fleet/{drive.vehicle_id}"
         messages += [make_message(f"weather/{seen.station_id}", seen) for seen in drive.weather]
-        messages.append(make_message(f"{fleet}/vehicle", Vehicle(drive.vehicle_id, first, drive.model)))
+        about = Vehicle(drive.vehicle_id, first, drive.model, power_covers=_find_power_span(drive, period))
+        messages.append(make_message(f"{fleet}/vehicle", about))
         messages.append(make_message(f"{fleet}/ride", Ride(drive.vehicle_id, first, drive.ride_id, "start")))
         messages += [make_message(f"{fleet}/telemetry", sample) for sample in telemetry]
         messages.append(make_message(f"{fleet}/ride", Ride(drive.vehicle_id, last, drive.ride_id, "end")))
     return sorted(messages, key=attrgetter("receipt_ns"))
+
+
+def _find_power_span(drive: Drive, period: float) -> PowerSpan | None:
+    """Return that samples hold mean powers, where several rows with a power belong to each; else None."""
+    if "battery_voltage_v" not in drive.rows:
+        return None
+    known = drive.elapsed[np.isfinite(drive.rows["battery_voltage_v"] * drive.rows["battery_current_a"])]
+    return "around" if len(known) > 1 and float(np.median(np.diff(known))) <= period / 2.0 else None
 
 
 def move_drive(drive: Drive, by: float) -> Drive:

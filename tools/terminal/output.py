@@ -41,6 +41,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "replay": 1,
     "secure": 1,
     "spikein": 1,
+    "spikein-score": 1,
     "tables": 1,
     "vehicles": 1,
 }

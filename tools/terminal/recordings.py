@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from socast.core.errors import RecordingError, SettingsError
 from socast.core.totals.logger_faults import describe_faults
@@ -78,6 +78,16 @@ def show_progress(
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task(words, total=sum(source.blocks for source in sources))
         yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))
+
+
+@contextmanager
+def show_shares(words: str) -> Iterator[Callable[[float], None]]:
+    """Show on standard error the share of a work that is done, by a bar; nothing without a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn(words), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(words, total=1.0)
+        yield lambda share: progress.update(task, completed=share)
 
 
 def _make_line_progress(

@@ -19,6 +19,7 @@ from socast.tools.importers.table.sampling import Sampling, find_holds
 from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import KINDS, list_tables
 from socast.tools.importers.table.time_source import TimeSource
+from socast.tools.importers.table.weather_file import read_weather_file
 from socast.tools.terminal.output import check_outputs, make_console
 
 INVENTED_ORIGIN: Final = 1_577_836_800.0
@@ -44,6 +45,8 @@ class TableImport(NamedTuple):
         Whether to skip and count files that cannot be read.
     sequence : float, optional
         Time between files that follow each other at invented dates. [h]
+    weather : Path, optional
+        File of weather stations.
     """
 
     map_file: Path | None
@@ -55,6 +58,7 @@ class TableImport(NamedTuple):
     period: float | None
     skip_bad: bool = False
     sequence: float | None = None
+    weather: Path | None = None
 
 
 def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
@@ -68,7 +72,9 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     content = _guess(kind, files, options, preset, console) if guesses else None
     if out is None:
         return
-    check_outputs([*files, *([map_file] if map_file else [])], out, options.html_file)
+    beside = [each for each in (map_file, options.weather) if each is not None]
+    check_outputs([*files, *beside], out, options.html_file)
+    weather = read_weather_file(options.weather) if options.weather else None
     columns = read_map(map_file) if map_file else parse_map(content or b"", Path(f"the map of {files[0]}"))
     if columns.vehicle.model is None:
         columns = columns._replace(vehicle=columns.vehicle._replace(model=options.vehicle_model))
@@ -79,7 +85,7 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
         columns = columns._replace(time=place_in_sequence(columns.time, options.sequence))
     skipped = SkippedFiles(options.skip_bad)
     tables = open_tables(files, kind, columns, skipped)
-    summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped)
+    summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped, weather)
     print_summary(summary, console)
     if options.html_file is not None:
         from socast.tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
@@ -96,7 +102,14 @@ def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
     hours : float
         Time from the last row of a file to the number 0 of the next one. [h]
     """
-    if time.unit_s is None or time.is_serial or time.origin_form or time.day_from_file_name or len(time.columns) > 1:
+    if (
+        time.unit_s is None
+        or time.is_serial
+        or time.origin_form
+        or time.origin_column
+        or time.day_from_file_name
+        or len(time.columns) > 1
+    ):
         raise SettingsError(
             "--sequence invents dates for clocks that begin at 0 in each file, and [time] of the map gives dates; "
             "leave --sequence out, or give the unit of the numbers only"
@@ -114,6 +127,8 @@ def _check_options(kind: str, options: TableImport, guesses: bool) -> None:
         raise SettingsError("--out is missing; name the recording to write, or use --guess to write a map only")
     if options.out is not None:
         check_recording(options.out)
+    if options.weather is not None and options.out is None:
+        raise SettingsError("--weather is given without --out; its observations enter a recording, so name one too")
     if options.html_file is not None and options.out is None:
         raise SettingsError("--html is given without --out; the page shows an import, so name a recording too")
 
@@ -126,6 +141,7 @@ def _list_settings(kind: str, options: TableImport) -> dict[str, str]:
         "vehicle_model": options.vehicle_model,
         "period": options.period,
         "sequence": options.sequence,
+        "weather": options.weather and options.weather.name,
         "dates": None if options.sequence is None else INVENTED,
     }
     return {"kind": kind} | {name: str(value) for name, value in chosen.items() if value is not None}

@@ -14,6 +14,7 @@ import pandas as pd
 
 from socast.core import effects
 from socast.core.batch import Floats, Ints
+from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.dataset import Windows
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
@@ -51,6 +52,12 @@ STANDBY: Final = 800.0, 500.0
 """Mean and standard deviation of the constant power where a model has no accessory curve. [W]"""
 LEAST_KNOWN: Final = 0.5
 """Share of the windows in which an effect must be known to be tested."""
+SEASON: Final = 85.0
+"""Length of the data from which rolling and constant load may drift with the season. [days]"""
+SEASON_STEP: Final = 45.0
+"""Distance of the times between which the drift is interpolated. [days]"""
+SEASON_SPREAD: Final = (0.05, 100.0)
+"""Standard deviation of the drift of rolling, as a share [1], and of the constant load [W]."""
 LEAST_RANK: Final = 1e-3
 """Variance of a combination of classes of the speed, over the largest one, below which it is left out. [1]"""
 
@@ -274,7 +281,7 @@ def _gather_common(
         expected.append(Expected(name, len(columns), prior.mean * size, prior.sd * size))
         columns.append(own * figure * prior.sd)
         mean += own * figure * prior.mean
-    blocks = [*columns, *_build_speed_forces(table).T]
+    blocks = [*columns, *_build_speed_forces(table).T, *_build_season(table).T]
     blocks += [lag * sd for lag, sd in zip(gather_distortions(table).T, DISTORTIONS.values(), strict=True)]
     return np.column_stack(blocks), tuple(expected), mean
 
@@ -292,6 +299,19 @@ def _build_speed_forces(table: pd.DataFrame) -> Floats:
     rolling, _ = _compute_motion(table)
     force = FORM_ERROR * float(rolling.sum()) / max(float(np.nansum(get_numbers(table, "distance_km"))), 1e-9)
     return np.asarray(distance @ (axes[:, kept] * np.sqrt(variance[kept])) * force)
+
+
+def _build_season(table: pd.DataFrame) -> Floats:
+    """Return the energies by which rolling and constant load drift over the season; none in short data."""
+    time = get_numbers(table, "start_s") / SECONDS_PER_DAY
+    low, high = float(time.min()), float(time.max())
+    if high - low < SEASON:
+        return np.empty((len(table), 0))
+    knots = np.linspace(low, high, round((high - low) / SEASON_STEP) + 1)
+    tents = np.maximum(1.0 - np.abs(time[:, np.newaxis] - knots) / (knots[1] - knots[0]), 0.0)
+    rolling, _ = _compute_motion(table)
+    loads = rolling * SEASON_SPREAD[0], _hours(table) * SEASON_SPREAD[1]
+    return np.column_stack([tents * load[:, np.newaxis] for load in loads])
 
 
 def _gather_effects(table: pd.DataFrame, without: Collection[str]) -> tuple[tuple[str, ...], Floats]:

@@ -15,6 +15,8 @@ Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 """
 
 from copy import copy
+from dataclasses import replace
+from math import log
 from typing import Final
 
 import numpy as np
@@ -24,7 +26,7 @@ from scipy.optimize import minimize
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES, WindowColumns
 from socast.core.fit.row_noise import compute_robust_weights, estimate_variance
-from socast.core.stats.random_effects import Integrated, integrate_out, sum_products, sum_units
+from socast.core.stats.random_effects import Integrated, integrate_out, number_units, sum_products, sum_units
 
 HYPER: Final = 0.7
 """Standard deviation of the logarithm of a spread about its usual value."""
@@ -104,6 +106,20 @@ class WindowModel:
         other._solve()  # noqa: SLF001
         return other
 
+    def shift(self, energy: Floats) -> "WindowModel":
+        """Return the model of windows that use more energy, with the same variances and spreads. [kWh]"""
+        other = copy(self)
+        other.columns = replace(self.columns, residual=self.columns.residual + energy)
+        other._solve()  # noqa: SLF001
+        return other
+
+    def weigh(self, column: Floats) -> float:
+        """Return the log evidence of a further column whose coefficient is standard normal, against none."""
+        both = self.add(np.column_stack([self.known, column]))
+        at = both.locate_known().stop - 1
+        variance = float(both.covariance()[at, at])
+        return 0.5 * (log(variance) + float(both.coefficients[at]) ** 2 / variance)
+
     @property
     def log_density(self) -> float:
         """Logarithm of the density of the energies and the spreads, up to a constant."""
@@ -123,8 +139,16 @@ class WindowModel:
         (d, q, q) float
             Sums of products.
         """
-        _, days = self._integrate(self.log_spread, self._sum_rides(more))
-        return days.sums
+        columns = self.columns
+        stacked, weight = columns.stack(self.known, more), self.weight / self.variance
+        out = np.empty((len(columns.start), stacked.shape[1], stacked.shape[1]))
+        for car in range(len(columns.cars)):  # one car at a time, because rides times columns squared take much memory
+            rows = np.flatnonzero(columns.car_of_day[columns.day] == car)
+            rides = sum_products(stacked[rows], weight[rows], number_units(columns.ride[rows]))
+            days = columns.day_of_ride[np.unique(columns.ride[rows])]
+            _, of_days = self._integrate(self.log_spread, rides, number_units(days))
+            out[np.unique(days)] = of_days.sums
+        return out
 
     @property
     def coordinates(self) -> tuple[Ints, Ints]:
@@ -163,15 +187,16 @@ class WindowModel:
 
     # ---- sums and the linear system
 
-    def _sum_rides(self, more: Floats | None = None) -> Floats:
+    def _sum_rides(self) -> Floats:
         """Return the weighted sums of products of each ride."""
-        further = () if more is None else (more,)
-        return sum_products(self.columns.stack(self.known, *further), self.weight / self.variance, self.columns.ride)
+        return sum_products(self.columns.stack(self.known), self.weight / self.variance, self.columns.ride)
 
-    def _integrate(self, log_spread: Floats, sums: Floats) -> tuple[Integrated, Integrated]:
-        """Return the integration over the effects of rides and of vehicle-days."""
+    def _integrate(
+        self, log_spread: Floats, sums: Floats, day_of_ride: Ints | None = None
+    ) -> tuple[Integrated, Integrated]:
+        """Return the integration over the effects of rides, by default all, and of their vehicle-days."""
         rides = integrate_out(sums, slice(0, S), np.exp(2.0 * log_spread[RIDES]))
-        days = sum_units(rides.sums, self.columns.day_of_ride)
+        days = sum_units(rides.sums, self.columns.day_of_ride if day_of_ride is None else day_of_ride)
         return rides, integrate_out(days, slice(0, S), np.exp(2.0 * log_spread[DAYS]))
 
     def _solve(self) -> None:

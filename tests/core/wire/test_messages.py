@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from socast.core.columns import POWER_SPANS
 from socast.core.wire.keys import identify_model, identity
 from socast.core.wire.messages import (
     OF_VEHICLES,
@@ -73,7 +74,14 @@ OUTLOOK = struct(
 )
 STRUCTS = st.one_of(
     TELEMETRY,
-    struct(Vehicle, vehicle_id=name, time_s=number, model=name, in_service_date=st.none() | st.text(max_size=10)),
+    struct(
+        Vehicle,
+        vehicle_id=name,
+        time_s=number,
+        model=name,
+        power_covers=st.none() | st.sampled_from(POWER_SPANS),
+        in_service_date=st.none() | st.text(max_size=10),
+    ),
     struct(
         Ride,
         vehicle_id=name,

@@ -7,7 +7,7 @@ import pytest
 
 from socast.core.batch import Lanes
 from socast.core.wire.decoder import Decoder
-from socast.core.wire.messages import KINDS, Finding, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Wire
+from socast.core.wire.messages import KINDS, Finding, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Vehicle, Wire
 from socast.core.wire.schema import describe_struct, make_schema
 
 STRUCTS = KINDS | {"outlook": Outlook, "leg": Leg, "leg_outlook": LegOutlook}
@@ -39,6 +39,7 @@ def valid(kind: str) -> dict[str, Any]:
         if "gain" in part:
             part["gain"]["verdict"] = "better"
     value |= {"status": "sure"} if STRUCTS[kind] is Finding else {}
+    value |= {"power_covers": "before"} if STRUCTS[kind] is Vehicle else {}
     return value | ({"event": "start"} if STRUCTS[kind] is Ride else {})
 
 

@@ -24,7 +24,7 @@ def test_drive_gives_vehicle_start_samples_and_end(tmp_path):
     (drive,) = ved.read_drives(ved_file(tmp_path / "week.csv"), UTC_ZONE)
     out = decode(make_messages([drive], 3.0))
     vehicle, start, *sent, end = out
-    assert vehicle == Vehicle("ved-455", start.time_s, "nissan-leaf-2013")
+    assert vehicle == Vehicle("ved-455", start.time_s, "nissan-leaf-2013", power_covers="around")
     assert (start.ride_id, start.event) == ("ved-455-1", "start")
     assert end == Ride("ved-455", sent[-1].time_s, "ved-455-1", "end")
     assert [s.seq for s in sent] == list(range(21))

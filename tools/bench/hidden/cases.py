@@ -1,9 +1,7 @@
 """Define the data sets of the benchmark: hidden effects, drives, measurements, and the right names."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Final, Literal
 
 from socast.tools.bench.hidden.drives import (
@@ -19,23 +17,11 @@ from socast.tools.bench.hidden.drives import (
 )
 from socast.tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
 from socast.tools.simulator.hidden_shapes import strip_shape
+from socast.tools.simulator.right_names import RIGHT_NAMES, get_right_names  # noqa: F401 - read from here by the benchmark
 from socast.tools.simulator.settings import Hidden
 
 Weather = Literal["none", "noisy"]
 
-RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
-        "humidity": ("humidity", "demisting"),
-    }
-)
-"""Right names where the library has another name for a cause than the simulator, or several names.
-
-`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
-effect that grows with the square of the power, one with the square of the force and one with that of the speed.
-Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
-The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
-"""
 BARE: Final = frozenset({"cabin_heating", "cabin_cooling"})
 """Effects that need cars without climate control and a model with constant auxiliaries as a base."""
 
@@ -74,11 +60,6 @@ class Case:
     def recipe(self) -> str:
         """Recipe of the model that is diagnosed."""
         return "road_load_constant" if self.bare else "road_load"
-
-
-def get_right_names(effect: str) -> tuple[str, ...]:
-    """Return the effects of the library that are right names for a hidden effect."""
-    return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))
 
 
 class SeedData:

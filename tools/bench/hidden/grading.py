@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+
 from socast.tools.bench.hidden.cases import Case, get_right_names
 
 Record = dict[str, Any]

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from rich.console import Console
-
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+
 from socast.core.errors import SettingsError, SocastError
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.hidden.figures import LEAST

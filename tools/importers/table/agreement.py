@@ -10,6 +10,7 @@ from socast.core.formatting import format_count
 from socast.core.vehicles import load_catalogue
 from socast.tools.importers.table.agreement_sums import FASTEST, HARDEST, CarSums, sum_cars
 from socast.tools.importers.table.sign_evidence import MASSES, SignEvidence, estimate_capacity, fit_mass, judge_sign
+from socast.tools.importers.table.zone_offsets import spell_offset
 
 MOST_NAMED: Final = 5
 """Cars that are named in one line."""
@@ -21,6 +22,12 @@ SPARSE: Final = 15.0
 """Time between rows from which the speed shows distances only roughly. [s]"""
 NEARLY: Final = 1.35
 """Ratio of two distances that such rows explain. [1]"""
+NIGHT: Final = 0.5
+"""Largest share of the driving from 0 to 5 h of solar time. [1]"""
+ASSUMED_NIGHT: Final = 0.1
+"""The same where times without a zone were read as UTC, and local time would at least halve it. [1]"""
+SUN: Final = "clock against sun"
+"""Name of the check of the hours of driving, which needs no order of rows."""
 INVERT: Final = "invert the sign of the current or the power in [fields]"
 """Remedy where the sign of all cars is wrong."""
 
@@ -65,8 +72,14 @@ class _Signs(NamedTuple):
         return next((each for each in self.evidence.values() if each.is_contradictory), None)
 
 
-def check_agreement(cars: list[CarSums]) -> list[Check]:
-    """Return the checks over all cars."""
+def check_agreement(cars: list[CarSums], *, is_zone_assumed: bool = False) -> list[Check]:
+    """Return the checks over all cars.
+
+    Parameters
+    ----------
+    is_zone_assumed : bool
+        Whether times that state no zone were read as UTC.
+    """
     signs = _Signs({car.vehicle: judge_sign(car) for car in cars})
     total = sum_cars(cars)
     # one car with another sign must not change what is said of the others
@@ -79,7 +92,7 @@ def check_agreement(cars: list[CarSums]) -> list[Check]:
         _check_sign(alike, signs),
         _check_consumption(sum_cars(alike), signs),
         _check_capacity(alike, signs),
-        _check_night(total),
+        _check_night(total, is_zone_assumed=is_zone_assumed),
     ]
 
 
@@ -226,11 +239,19 @@ def _judge_capacity(found: str, limit: str, passed: bool, sign: float, scale: fl
     return Check("energy against charge", found, limit, False, words)
 
 
-def _check_night(total: Mapping[str, float]) -> Check:
+def _check_night(total: Mapping[str, float], *, is_zone_assumed: bool) -> Check:
     """Check by the sun that the clock has the right time zone."""
-    limit = "at most 50 % of the driving from 0 to 5 h solar time"
+    most = ASSUMED_NIGHT if is_zone_assumed else NIGHT
+    limit = f"at most {most * 100:g} % of the driving from 0 to 5 h solar time"
     if total["driving"] < 1800.0:
-        return Check("clock against sun", "less than half an hour of driving with positions", limit, None)
+        return Check(SUN, "less than half an hour of driving with positions", limit, None)
     share = total["night"] / total["driving"]
+    as_local = total["night_as_read"] / total["driving"]
+    zone = spell_offset(round(total["east"] / total["driving"] / 15.0) * 3600.0)
+    if share <= most or (share <= NIGHT and as_local > share / 2.0):
+        return Check(SUN, f"{share:.0%}", limit, True)
     words = "set zone in [time], unless the cars drive at night"
-    return Check("clock against sun", f"{share:.0%}", limit, share <= 0.5, "" if share <= 0.5 else words)
+    if is_zone_assumed and as_local <= share / 2.0:
+        words = f"set zone = '{zone}' in [time], unless the times are UTC and the cars drive at night"
+        return Check(SUN, f"{share:.0%}, and {as_local:.0%} with local time", limit, False, words)
+    return Check(SUN, f"{share:.0%}", limit, False, words)

@@ -50,6 +50,8 @@ SUMS: Final = (
     "rest",  # duration of the same steps [s]
     "night",  # driving from 0 to 5 h of solar time [s]
     "driving",  # driving with a known longitude [s]
+    "night_as_read",  # driving from 0 to 5 h by the clock as it was read [s]
+    "east",  # longitude times duration, while driving [deg s]
     "wild",  # rows with an impossible speed, or an impossible rise to it
 )
 _HELD: Final = ("speed_kmh", "power", "charging")
@@ -220,6 +222,8 @@ def _compute_steps(rows: Mapping[str, Floats], ages: Mapping[str, Floats]) -> di
         "rest": step + 0.0 * rest_energy,
         "night": np.where(solar < 5.0, driving, np.nan),
         "driving": driving,
+        "night_as_read": np.where(rows["time"][1:] / 3600.0 % 24.0 < 5.0, driving, np.nan),
+        "east": get("longitude_deg")[1:] * driving,
         "wild": wild.astype("f8"),
         "kinetic": kinetic,
         "power": (power[1:] + power[:-1]) / 2 + drives,

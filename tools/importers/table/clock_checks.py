@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.agreement import Check, check_agreement
+from socast.tools.importers.table.agreement import SUN, Check, check_agreement
 from socast.tools.importers.table.agreement_sums import CarSums
 from socast.tools.importers.table.clock_units import FAR, find_nearest, find_ratio
 from socast.tools.importers.table.clock_witness import DAY, EARLIEST, ROLLOVER_WEEKS
@@ -80,21 +80,26 @@ def list_checks(
     reader: RowReader,
     cars: list[CarSums],
     span: tuple[float, float],
-    unit: Check | None = None,
+    faults: Sequence[Check | None] = (),
 ) -> list[Check]:
     """Return all checks of an import; where times are covered twice, others that need their order are not judged.
 
     Units: span [Unix s].
+
+    Parameters
+    ----------
+    faults : sequence of Check
+        What is wrong with the clock, the worst first; None where nothing is. Checks that need times are not judged.
     """
-    checks = check_agreement(cars)
-    if unit is not None:
-        checks = [
-            _suspend(check, "the unit of the clock is wrong") if check.passed is False else check for check in checks
-        ]
-        checks.insert(0, unit)
+    is_assumed = reader.has_local_times and str(columns.time.zone) == "UTC"
+    checks = check_agreement(cars, is_zone_assumed=is_assumed)
+    if found := [fault for fault in faults if fault is not None]:
+        why = "the unit of the clock is wrong" if found[0].name == UNIT else "the clock is wrong"
+        checks = [found[0], *(_suspend(check, why) if check.passed is False else check for check in checks)]
     overlap = reader.spans.find_overlap()
     if overlap is not None:
-        checks = [_suspend(check, "times are covered twice") if check.passed is False else check for check in checks]
+        why = "times are covered twice"
+        checks = [_suspend(check, why) if check.passed is False and check.name != SUN else check for check in checks]
         checks.insert(0, _check_overlap(overlap, reader))
     weeks = _check_weeks(tables, columns, span)
     return [*checks, *([weeks] if weeks else []), _check_clock(tables, columns, span[1])]

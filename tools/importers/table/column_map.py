@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
 from socast.tools.importers.table.name_times import find_unknown_directive
 from socast.tools.importers.table.sampling import (
@@ -52,12 +53,19 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin": str,
         "day_from_file_name": bool,
         "origin_from_file_name": str,
+        "origin_column": str,
         "offset_column": str,
         "add_weeks": int,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "parked": {"column": str, "values": list},
-    "rows": {"period_s": (int, float), "hold_s": (int, float), "on_change": bool, "silence_s": (int, float)},
+    "rows": {
+        "period_s": (int, float),
+        "hold_s": (int, float),
+        "on_change": bool,
+        "silence_s": (int, float),
+        "power_covers": str,
+    },
     "long": {"name": str, "value": str},
     "fields": {},
 }
@@ -127,6 +135,8 @@ class ColumnMap(NamedTuple):
         Columns of the name and of the value of a signal, where each row holds one signal.
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
+    power_covers : str, optional
+        What the power of a row covers; None is found from the rows.
     """
 
     path: Path
@@ -138,6 +148,7 @@ class ColumnMap(NamedTuple):
     fields: Mapping[str, FieldSource]
     sampling: Sampling | None = None
     parked: ParkedSource | None = None
+    power_covers: PowerSpan | None = None
 
     def list_required_columns(self) -> list[str]:
         """Return the columns that every file must have."""
@@ -147,8 +158,8 @@ class ColumnMap(NamedTuple):
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
         names += [self.parked.column] if self.parked else []
-        offset = [self.time.offset_column] if self.time.offset_column else []
-        return list(dict.fromkeys([*names, *offset, *(self.long or ())]))
+        beside = [name for name in (self.time.offset_column, self.time.origin_column) if name is not None]
+        return list(dict.fromkeys([*names, *beside, *(self.long or ())]))
 
 
 def read_map(path: Path) -> ColumnMap:
@@ -206,6 +217,7 @@ class _MapReader:
             fields,
             self.read_rows(),
             self.read_parked(),
+            self.read_power_covers(),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -264,7 +276,9 @@ class _MapReader:
             raise self.refuse(
                 ("time", "add_weeks"), f"add_weeks is {weeks}, must be at most {MOST_WEEKS}, such as 1024"
             )
-        if unit is not None and "format" in table:
+        if "origin_column" in table:
+            self.check_origin_column(table)
+        elif unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
         zone = self.find_zone(table.get("zone", "UTC"))
         of_name, form = table.get("day_from_file_name", False), self.read_origin_form(table)
@@ -275,8 +289,27 @@ class _MapReader:
         seconds, zero = find_time_unit(unit) if unit else None, self.find_origin(zone)
         offsets = table.get("offset_column")
         return TimeSource(
-            names, seconds, table.get("format"), zone, zero, of_name, form, offsets, weeks, unit == SERIAL
+            names,
+            seconds,
+            table.get("format"),
+            zone,
+            zero,
+            of_name,
+            form,
+            offsets,
+            weeks,
+            unit == SERIAL,
+            origin_column=table.get("origin_column"),
         )
+
+    def check_origin_column(self, table: Mapping[str, Any]) -> None:
+        """Refuse a column of the first time of each file beside a clock that does not count, or another origin."""
+        others = [key for key in ("origin", "origin_from_file_name", "day_from_file_name") if table.get(key)]
+        if others or table.get("unit") in {None, SERIAL} or isinstance(table["column"], list):
+            words = f"leave out {others[0]}" if others else "add unit = 's' of a column that counts, or leave it out"
+            raise self.refuse(
+                ("time", "origin_column"), f"origin_column gives numbers the first time of each file; {words}"
+            )
 
     def read_origin_form(self, table: Mapping[str, Any]) -> str | None:
         """Return the form of the time of the number 0 in the names of files."""
@@ -366,9 +399,18 @@ class _MapReader:
         words = frozenset(str(word).strip().lower() for word in self.need("parked", "values"))
         return ParkedSource(self.need("parked", "column"), words)
 
+    def read_power_covers(self) -> PowerSpan | None:
+        """Return what the power of a row covers, None where the map does not say it."""
+        span: PowerSpan | None = self.tables.get("rows", {}).get("power_covers")
+        if span is not None and span not in POWER_SPANS:
+            raise self.refuse(
+                ("rows", "power_covers"), f"power_covers is '{span}', must be one of {', '.join(POWER_SPANS)}"
+            )
+        return span
+
     def read_rows(self) -> Sampling | None:
         """Return how rows become samples, None where each row is one as it is."""
-        table = self.tables.get("rows", {})
+        table = {key: value for key, value in self.tables.get("rows", {}).items() if key != "power_covers"}
         period = table.get("period_s")
         if period is not None and not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
             raise self.refuse(

@@ -1,6 +1,7 @@
 """Convert tables to a recording: read, sort, make messages, and check whether the values agree."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -11,8 +12,10 @@ from socast.core.errors import ImportFileError
 from socast.core.vehicles import load_catalogue
 from socast.stream.mcap_writer import MOST_CHANNELS, McapSink
 from socast.stream.recording_metadata import make_metadata
+from socast.tools.importers.table.agreement import Check
 from socast.tools.importers.table.agreement_sums import AgreementSums
 from socast.tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
+from socast.tools.importers.table.clock_rate import ClockRate
 from socast.tools.importers.table.column_map import ColumnMap, FileFormat
 from socast.tools.importers.table.import_summary import ImportSummary, describe_missing
 from socast.tools.importers.table.row_messages import RowMessages, join_signals
@@ -20,12 +23,14 @@ from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.sampling import sample_rows
 from socast.tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
 from socast.tools.importers.table.skipped_files import SkippedFiles
+from socast.tools.importers.table.sun_witness import SunWitness
 from socast.tools.importers.table.table_file import TableFile, open_table
 from socast.tools.importers.table.time_overlaps import leave_out_covered_twice
 from socast.tools.importers.table.time_sort import sort_rows
+from socast.tools.importers.table.weather_file import StationMessages, WeatherFile
 
-MOST_CARS: Final = MOST_CHANNELS // 2
-"""Largest number of cars in one recording, with two keys each."""
+MOST_CARS: Final = MOST_CHANNELS // 3
+"""Largest number of cars in one recording, with three keys each."""
 
 LONGEST_STEP: Final = 900.0
 """Longest time between two rows of a parked car that is filled. [s]"""
@@ -68,23 +73,29 @@ def convert_tables(
     out: Path,
     settings: Mapping[str, Any] | None = None,
     skipped: SkippedFiles | None = None,
+    weather: WeatherFile | None = None,
 ) -> ImportSummary:
-    """Write the rows of tables as a recording in the order of time."""
+    """Write the rows of tables as a recording in the order of time, with the observations of a file of weather."""
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()
-    messages, unit = RowMessages(columns, reader), ClockUnit(columns)
+    rate, unit = ClockRate(), ClockUnit(columns)
+    messages = RowMessages(columns, reader, rate.find_power_step)
+    sun, stations = SunWitness(), StationMessages(weather) if weather else None
+    messages.weather.is_sent = stations is None  # the nearest station counts, which would be the car
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             spread = _SpreadRows(reader)
-            sorted_rows = sort_rows(_read_limited(reader, tables), out.resolve().parent)
+            sorted_rows = sort_rows(_read_limited(reader, tables, rate), out.resolve().parent)
             once = leave_out_covered_twice(sorted_rows, reader.spans, reader.faults.causes)
             for rows in _sample(spread.iterate(once), columns):
                 if not messages.samples:  # sorting has read all files
                     refuse_overlap(reader, columns)
                 sums.add(rows)
                 unit.add(rows)
-                sink.put(messages.make(rows))
+                sun.add_rows(rows)
+                made = messages.make(rows)
+                sink.put(stations.merge(rows, made) if stations else made)
     except ImportFileError:
         out.unlink()
         raise
@@ -95,6 +106,7 @@ def convert_tables(
         raise ImportFileError(
             f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
         )
+    faults = [unit.check(), None if columns.long else rate.find_fault(reader.vehicles, columns.time.columns[0])]
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(
         out=out,
@@ -107,15 +119,33 @@ def convert_tables(
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=[*skipped.list_lines(opened), *reader.faults.notes, *notes, *_list_notes(tables, columns)],
+        notes=[
+            *skipped.list_lines(opened),
+            *reader.faults.notes,
+            *notes,
+            *_list_notes(tables, columns),
+            *messages.notes,
+            *([stations.describe()] if stations else []),
+        ],
         cars=cars,
-        checks=list_checks(tables, columns, reader, cars, sums.span, unit.check()),
+        checks=[
+            *list_checks(tables, columns, reader, cars, sums.span, faults),
+            *_check_weather(sun, stations, columns),
+        ],
     )
 
 
-def _read_limited(reader: RowReader, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
-    """Yield blocks of rows, and refuse more cars than a recording can hold."""
+def _check_weather(sun: SunWitness, stations: StationMessages | None, columns: ColumnMap) -> list[Check]:
+    """Return the checks of irradiances and of a file of weather."""
+    found = [sun.check(columns.time.zone)]
+    found += [stations.check(), stations.file.sun.check(UTC)] if stations else []
+    return [check for check in found if check is not None]
+
+
+def _read_limited(reader: RowReader, tables: Sequence[TableFile], rate: ClockRate) -> Iterator[np.ndarray]:
+    """Yield blocks of rows, measure their rate, and refuse more cars than a recording can hold."""
     for block in reader.read(tables):
+        rate.add(block)
         if len(reader.vehicles) > MOST_CARS:
             raise ImportFileError(
                 f"{tables[0].path}: names {len(reader.vehicles):,} vehicles or more; a recording holds {MOST_CARS:,}: "

@@ -32,6 +32,7 @@ from socast.tools.importers.table.shared_stamps import spread_rows
 from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import Block, TableFile
 from socast.tools.importers.table.time_source import find_time_unit
+from socast.tools.importers.table.units import OF_WEATHER
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
@@ -107,7 +108,7 @@ def guess_map(
             f"{tables[0].path}: no column looks like a time; it has {listed}; write a map by hand, with the column "
             "in [time]"
         )
-    if not sources.fields:
+    if all(each.field in OF_WEATHER for each in sources.fields):
         raise ImportFileError(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"

@@ -40,19 +40,57 @@ _OTHER_TIME_NAMES: Final = (
     r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
     r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week"
     r"|(gps )?week|week number|clock( time)?|time of day|tid|tidspunkt|dato|aika|cas|czas)$"
-    r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time"
+    r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip|phase|test|cycle) ?time"
     r"( (s|ms|us|min|h))?$"
     r"|^time since\b"
 )
 _SPEED_LETTERS: Final = r"^(v|gps|car|vehicle|obd)? ?(kmh|km/h|kph|kmph|mph)$|^v (m/s|mps)$"
-_BATTERY: Final = r"(bat|batt|battery|pack|hv|traction|hv (batt|battery))"
+_BATTERY: Final = r"(bat|batt|battery|pack|hv|traction|hv (batt|battery)|reess)"
+"""Words for the traction battery; UN regulations and ISO standards call it REESS."""
 _POWER_LETTERS: Final = rf"^(kw|(p|pwr) k?w|{_BATTERY}( p| pwr)? kw|{_BATTERY} (p|pwr)( k?w)?)$"
 _AMBIENT: Final = (
     r"\b(outside|ambient|ext|external|exterior|outdoor|air|v e)\b.*\b(temp|temperature)\b|^oat\b|\bambient\b"
-    r"|\b(aussentemperatur|umgebungstemperatur)\b"
+    r"|\b(aussentemperatur|umgebungstemperatur)\b|\btemp(erature)? amb\b|\bamb temp(erature)?\b"
 )
 _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b(power|watts?)\b|\bhvac\b"
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
+_WEATHER_RULES: Final = (
+    (
+        "wind_from_deg",
+        r"\bwind ?(dir|direction|from|bearing|deg|degrees)\b|^(wdir|drct)$|\bwindrichtung\b",
+        r"\b(relative|apparent|gust|gusts)\b",
+    ),
+    (
+        "wind_speed_kmh",
+        (
+            r"\bwind ?(speed|spd|velocity)\b|^wind( (kmh|km/h|kph|mph|mps|m/s|kn|kt|kts))?$|^(wspd|sknt)$|"
+            r"\bwindgeschwindigkeit\b"
+        ),
+        r"\b(relative|apparent|gust|gusts|max)\b",
+    ),
+    (
+        "precipitation_mm",
+        r"\b(precip|precipitation|rain|rainfall|niederschlag)\b|^(prcp|p01[im])$",
+        r"\b(probability|chance|type|sensor|status|duration|flag|hours)\b",
+    ),
+    (
+        "solar_w_m2",
+        (
+            r"\b(irradiance|insolation|ghi|globalstrahlung|pyranometer|(solar|global|shortwave) (radiation|rad))\b|"
+            r"^solar( w/m2| w m2)?$"
+        ),
+        r"\b(direct|diffuse|normal|tilted|uv)\b",
+    ),
+    ("humidity_pct", r"\bhumidity\b|^(rhum|rh|relh)$", r"\b(inside|cabin|soil|specific|absolute)\b"),
+    (
+        "pressure_hpa",
+        r"^(air |atmospheric |sea ?level |mean sea ?level |msl )?pressure( msl)?( hpa| mbar)?$|^(pres|mslp|slp|qnh)$",
+        "",
+    ),
+)
+"""Rules of the columns of weather; the contract has the pressure at sea level, and no other one is read."""
+_CAMEL: Final = r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)|(?<=REESS)(?=[A-Z])|(?<=\bDA)(?=[A-Z][a-z])"
+"""Places within a word at which another one begins: `DAActualSpeed` is `DA Actual Speed`."""
 _TIME_UNITS: Final = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), "ms"),
@@ -68,19 +106,23 @@ _RULES: Final = (
     (OTHER_TIME, _OTHER_TIME_NAMES, ""),
     (VEHICLE, r"^(vehicle|veh|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
     (RIDE, r"^(drive|trip|ride|journey|session)( (id|number))?$|^(trip|drive|ride)id$", ""),
+    *_WEATHER_RULES,
     ("latitude_deg", r"\b(lat|latitude)\b", ""),
     ("longitude_deg", r"\b(lon|lng|long|longitude)\b", ""),
     ("elevation_m", r"\b(elevation|altitude|alt)\b", ""),
     (
         "battery_temperature_c",
-        r"\b(batt|battery|pack|hv|v b)\b.*\b(temp|temperature)\b",
+        r"\b(batt|battery|pack|hv|v b|reess)\b.*\b(temp|temperature)\b",
         r"\b(max|min|cell|inlet)\b",
     ),
     ("ambient_c", _AMBIENT, r"\b(cabin|inside|conditioning)\b"),
     ("hvac_w", _HVAC, r"\b(no power|on|state|set|fan)\b|temp"),
     (
         "battery_voltage_v",
-        rf"\b(voltage|volts?|spannung|batteriespannung|tension|voltaje|tensione|spanning)\b|^{_BATTERY} [vu]$",
+        (
+            r"\b(voltage|volts?|spannung|batteriespannung|tension|voltaje|tensione|spanning)\b|"
+            rf"^{_BATTERY} [vu]$|^[vu] {_BATTERY}$"
+        ),
         _NOT_THE_PACK,
     ),
     (
@@ -98,7 +140,10 @@ _RULES: Final = (
     ),
     (
         "battery_current_a",
-        rf"\b(current|amps|amperes?|strom|batteriestrom|courant|corriente|corrente|stroom)\b|^{_BATTERY} [ia]$",
+        (
+            r"\b(current|amps|amperes?|strom|batteriestrom|courant|corriente|corrente|stroom)\b|"
+            rf"^{_BATTERY} [ia]$|^i {_BATTERY}$"
+        ),
         rf"{_NOT_THE_PACK}|\blocation\b",
     ),
     (
@@ -109,7 +154,7 @@ _RULES: Final = (
     (
         "speed_kmh",
         rf"\b(speed|spd|gpsspeed|gpsspd|velocity|geschwindigkeit|vitesse|velocidad|velocit|snelheid)\b|{_SPEED_LETTERS}",
-        r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b",
+        r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm|schedule|scheduled|target|desired|reference|ref)\b",
     ),
     ("occupants", r"\b(occupants?|passengers|people)\b", ""),
     ("charging", r"\b(is )?charging( state)?\b|\bcharge state\b", _NO_STATE),
@@ -179,7 +224,7 @@ def _split_words(name: str) -> list[str]:
         if not rest or _UNIT.fullmatch(token):
             words.append(token)
             continue
-        words += re.sub(r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)", " ", rest).split()
+        words += re.sub(_CAMEL, " ", rest).split()
         words += [unit] if unit else []
     return words
 

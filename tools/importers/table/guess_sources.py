@@ -8,7 +8,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.clock_witness import judge_clock
+from socast.tools.importers.table.clock_rate import (
+    SHORTEST_PERIOD,
+    describe_rate,
+    is_steady,
+    is_too_fast,
+    sum_close_steps,
+)
+from socast.tools.importers.table.clock_witness import judge_clock, read_clock
 from socast.tools.importers.table.guess_contents import Source, choose_bare, find_charging, find_parked, find_times
 from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
@@ -91,8 +98,15 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     left_out = [(name, why) for name, why in left_out if name not in read]
     unread = "its name says nothing" if by_name else "the preset does not read it"
     known = read | ({each.name for each in named if each.role != STATE} if by_name else set())
-    left_out += [(name, unread) for name in names if name not in known]
+    left_out += [(name, _explain_second(name) or unread) for name in names if name not in known]
     return Sources(time, vehicle, ride, long, fields, left_out, parked)
+
+
+def _explain_second(name: str) -> str:
+    """Return that a column such as `REESSCurrent2` is a second circuit of the battery, empty for any other one."""
+    found = guess_name(name[:-1]) if name[-1:] == "2" else None
+    is_second = found is not None and found.role in {"battery_voltage_v", "battery_current_a"}
+    return "a second circuit of the battery: its power is not added" if is_second else ""
 
 
 def _choose_clock(
@@ -111,12 +125,38 @@ def _choose_clock(
         clocks = []
     if given is not None:
         return judge_clock(given, clocks, names, blocks, is_fixed=True) if given.is_absolute else given
-    if absolute := [clock for clock in clocks if clock.is_absolute]:
+    if absolute := _leave_out_standing([clock for clock in clocks if clock.is_absolute], blocks):
+        if is_too_fast(read_clock(absolute[0].to_source(), blocks)):
+            return _count_from(absolute[0], clocks, blocks) or absolute[0]
         return judge_clock(absolute[0], absolute[1:], names, blocks)
     if not clocks:
         return None
     found = min(clocks, key=lambda each: each.day_from_file_name)
     return find_origin(found, [table.path for table, _ in blocks]) if found.needs_origin else found
+
+
+def _leave_out_standing(clocks: Sequence[GuessedTime], blocks: Blocks) -> list[GuessedTime]:
+    """Return clocks without those that stand still between rows, if another one does not."""
+    sound = [clock for clock in clocks if not is_too_fast(read_clock(clock.to_source(), blocks))]
+    return sound or list(clocks)
+
+
+def _count_from(first: GuessedTime, clocks: Sequence[GuessedTime], blocks: Blocks) -> GuessedTime | None:
+    """Return a clock that counts from the first time of one that stands still, None where no column counts."""
+    times = read_clock(first.to_source(), blocks)
+    known = times[np.isfinite(times)]
+    rate = describe_rate(len(known), sum_close_steps(known))
+    fault = f"the times in column '{first.columns[0]}' are wrong: {rate} (limit: {SHORTEST_PERIOD * 1e3:g} ms)"
+    for clock in clocks:
+        if clock.needs_origin and is_steady(read_clock(clock.to_source(1.0, 1.0), blocks)):
+            return clock._replace(
+                form=first.form,
+                has_zone=first.has_zone,
+                origin_column=first.columns[0],
+                reason=f"counts from the first time in column '{first.columns[0]}'",
+                doubts=(*clock.doubts, f"{fault}; column '{clock.columns[0]}' is read instead"),
+            )
+    return None
 
 
 def _find_parked(

@@ -59,7 +59,7 @@ class GuessedTime(NamedTuple):
         Form of the start of the clock in the names of the files.
     others : tuple of str
         Other formats that read the text as well.
-    origin, zone, offset_column, add_weeks
+    origin, zone, offset_column, add_weeks, origin_column
         What the map says of them, None or 0 where it says nothing.
     """
 
@@ -77,6 +77,7 @@ class GuessedTime(NamedTuple):
     offset_column: str | None = None
     add_weeks: int = 0
     doubts: tuple[str, ...] = ()
+    origin_column: str | None = None
 
     @property
     def is_absolute(self) -> bool:

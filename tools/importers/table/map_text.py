@@ -117,7 +117,8 @@ def _add(table: Table, *cells: str) -> None:
 def _describe_zone(guessed: GuessedMap) -> str:
     """Return what is assumed of the time zone."""
     time = guessed.time
-    is_known = time.has_zone or time.zone is not None or (time.needs_origin and time.origin_form is None)
+    is_counted = time.needs_origin and time.origin_form is None and time.origin_column is None
+    is_known = time.has_zone or time.zone is not None or is_counted
     return "" if is_known else "; zone not stated, UTC assumed"
 
 
@@ -161,6 +162,11 @@ def _write_time(guessed: GuessedMap) -> list[str]:
     if time.origin_form:
         lines.append(f"origin_from_file_name = {_quote(time.origin_form)}   # time of the number 0")
         lines.append('zone = "UTC"   # of the time in the file name: correct it where it is local time')
+    elif time.origin_column:
+        lines.append(f"origin_column = {_quote(time.origin_column)}   # its first time in each file is that of the row")
+        lines += (
+            [] if time.has_zone else ['zone = "UTC"   # the file does not state it: correct it where it is local time']
+        )
     elif time.needs_origin:
         lines += [f'origin = "{GUESSED_ORIGIN}"   # time of the number 0: correct it', 'zone = "UTC"']
     elif time.zone:

@@ -1,20 +1,24 @@
 """Turn sorted rows into the messages that loggers on board would have sent."""
 
+from collections.abc import Callable
 from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.columns import PowerSpan
 from socast.core.vehicles import load_catalogue
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.vehicles.data_sheet import OF_SHEET
 from socast.core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
 from socast.tools.importers.drive import make_message, to_json_numbers
 from socast.tools.importers.table.column_map import ColumnMap
+from socast.tools.importers.table.power_span import ONE_SIDED, measure_span
 from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.row_weather import RowWeather
 from socast.tools.importers.table.shared_stamps import number_in_stamp
-from socast.tools.importers.table.units import POWER
+from socast.tools.importers.table.units import POWER, has_power
 
 LONGEST_STEP: Final = 60.0
 """Longest time between two rows that says something of their period. [s]"""
@@ -42,10 +46,19 @@ class RowMessages:
     ----------
     reader : RowReader
         Reader of the rows, which holds the names.
+    find_power_step : callable
+        Returns the time between the rows of a car with a power, before they were joined to samples. [s]
+
+    Attributes
+    ----------
+    notes : list of str
+        What was found of the power of cars, for a person to read.
     """
 
-    def __init__(self, columns: ColumnMap, reader: RowReader) -> None:
-        self.map, self.reader = columns, reader
+    def __init__(self, columns: ColumnMap, reader: RowReader, find_power_step: Callable[[int], float]) -> None:
+        self.map, self.reader, self._find_power_step = columns, reader, find_power_step
+        self.notes: list[str] = []
+        self.weather = RowWeather(columns.fields)
         self.samples = 0
         self._announced: set[int] = set()
         self._last: dict[int, float] = {}
@@ -53,17 +66,20 @@ class RowMessages:
     def make(self, rows: np.ndarray) -> list[Message]:
         """Return the messages of rows."""
         rides, before = self._name_rides(rows), self._find_gaps(rows)
+        observed = self.weather.observe(rows, self.reader.vehicles)
         columns = _make_wire_columns(rows, self.map.vehicle.nominal_voltage)
         stamps = np.round(rows["time"], 3).tolist()
         wire = [columns.get(name, repeat(None)) for name in _FIELDS]
         names, messages = self.reader.vehicles, []
-        for place, stamp, last, ride, *values in zip(
-            rows["vehicle"].tolist(), stamps, before, rides, *wire, strict=False
+        for at, (place, stamp, last, ride, *values) in enumerate(
+            zip(rows["vehicle"].tolist(), stamps, before, rides, *wire, strict=False)
         ):
+            if at in observed:
+                messages.append(observed[at])
             if place not in self._announced:
                 self._announced.add(place)
-                is_regular = has_period(rows["time"][rows["vehicle"] == place])
-                messages += self._announce(names[place], stamp, None if is_regular else 0.0)
+                of_car = rows[rows["vehicle"] == place]
+                messages += self._announce(place, stamp, of_car)
             vehicle, receipt = names[place], round(stamp * 1000) * 1_000_000
             if last is not None:
                 messages += _divide_rides(vehicle, last, stamp, receipt)
@@ -72,12 +88,34 @@ class RowMessages:
         self.samples += len(rows)
         return messages
 
-    def _announce(self, vehicle: str, stamp: float, period: float | None) -> list[Message]:
+    def _find_power_span(self, place: int, rows: np.ndarray) -> PowerSpan | None:
+        """Return what the power of a car's samples covers: as the map says, by joined rows, or as the rows show."""
+        if self.map.power_covers is not None:
+            return self.map.power_covers
+        period = self.map.sampling.period if self.map.sampling else None
+        if period is not None:
+            return "around" if self._find_power_step(place) <= period / 2.0 else None
+        if "speed_kmh" not in (rows.dtype.names or ()) or not has_power(rows.dtype.names or ()):
+            return None
+        evidence = measure_span(rows["time"], rows["speed_kmh"], compute_power(rows))
+        if evidence is None or evidence.span is None:
+            return None
+        share = evidence.share if evidence.span == "before" else 1.0 - evidence.share
+        self.notes.append(
+            f"the power of {self.reader.vehicles[place]} is taken as the mean over the time {evidence.span} each row, "
+            f"where {share:.0%} of its kinetic power is (limit: {ONE_SIDED[0]:.0%}); if it is that of the moment, "
+            "write power_covers = 'moment' in [rows]"
+        )
+        return evidence.span
+
+    def _announce(self, place: int, stamp: float, rows: np.ndarray) -> list[Message]:
         """Return the vehicle message of a car, if its model is known; a car of one's own brings its figures."""
+        vehicle = self.reader.vehicles[place]
         model = self.map.vehicle.models.get(vehicle, self.map.vehicle.model)
         if not model:
             return []
-        return [introduce_vehicle(vehicle, stamp, model, period)]
+        period = None if has_period(rows["time"]) else 0.0
+        return [introduce_vehicle(vehicle, stamp, model, period, self._find_power_span(place, rows))]
 
     def _name_rides(self, rows: np.ndarray) -> list[str | None]:
         """Return the ride of each row."""
@@ -138,12 +176,15 @@ def has_period(times: Floats) -> bool:
     return not is_changed and not (len(off_grid) and np.mean(off_grid) > MOST_OFF_GRID)
 
 
-def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float | None = None) -> Message:
+def introduce_vehicle(
+    vehicle: str, time_s: float, model: str, period_s: float | None = None, power_covers: PowerSpan | None = None
+) -> Message:
     """Return the vehicle message of a car, with its figures if they come from a data sheet."""
     known = load_catalogue().get(model)
     is_own = known is not None and known.sources.get("origin") == OF_SHEET
     figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
-    return make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, time_s, model, period_s=period_s, **figures))
+    about = Vehicle(vehicle, time_s, model, period_s=period_s, power_covers=power_covers, **figures)
+    return make_message(f"fleet/{vehicle}/vehicle", about)
 
 
 def join_signals(rows: np.ndarray, is_long: bool = True) -> np.ndarray:

@@ -77,6 +77,11 @@ class RowReader:
         self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
         self._times = TimeReader(columns.time)
 
+    @property
+    def has_local_times(self) -> bool:
+        """Whether some times state no offset, so that they were read in the zone of the map."""
+        return self._times.has_local_times
+
     def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
         """Yield rows as structured arrays, one per block of a file, in the order of the files."""
         for table in tables:

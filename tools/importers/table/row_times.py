@@ -40,22 +40,31 @@ class RowTimes(NamedTuple):
 
 
 class TimeReader:
-    """Read the times of tables block by block."""
+    """Read the times of tables block by block.
+
+    Attributes
+    ----------
+    has_local_times : bool
+        Whether some times so far stated no offset.
+    """
 
     def __init__(self, source: TimeSource) -> None:
         self.source = source
+        self.has_local_times = False
         self._path: Path | None = None
         self._last: dict[int, float] = {}
         self._days = 0
         self._last_of_file = np.nan
         self._last_offset = np.nan
         self._newest, self._zero = -np.inf, source.origin
+        self._zero_of_file: float | None = None
 
     def read(self, table: TableFile, block: Block, vehicles: Ints) -> RowTimes:
         """Return the times of the rows of a block."""
         if self._path != table.path:
             self._path, self._last, self._days = table.path, {}, 0
             self._last_of_file = self._last_offset = np.nan
+            self._zero_of_file = None
             if self.source.gap_s is not None and np.isfinite(self._newest):
                 self._zero = float(np.ceil(self._newest + self.source.gap_s))
         cells = [block[name] for name in self.source.columns]
@@ -63,7 +72,7 @@ class TimeReader:
         day = find_day(table.path) if self.source.day_from_file_name else None
         unclear = np.zeros(len(missing), bool)
         if self.source.unit_s is not None:
-            times, unclear = self._count(table, cells, vehicles, day)
+            times, unclear = self._count(table, cells, vehicles, day, block)
         elif pa.types.is_timestamp(cells[0].type):
             times, unclear = self._localize(cells[0].to_pandas(), vehicles)
         else:
@@ -74,7 +83,9 @@ class TimeReader:
         self._newest = max(self._newest, float(np.nanmax(times, initial=-np.inf)))
         return RowTimes(times if day is None else self._add_days(times), missing, unclear)
 
-    def _count(self, table: TableFile, cells: list[Any], vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
+    def _count(
+        self, table: TableFile, cells: list[Any], vehicles: Ints, day: str | None, block: Block
+    ) -> tuple[Floats, Bools]:
         """Return the Unix times of numbers [s], and which of them are unclear."""
         numbers = [to_numbers(each, table.decimal)[0] for each in cells]
         unit = self.source.unit_s or 1.0
@@ -84,10 +95,26 @@ class TimeReader:
             stamps = EXCEL_ZERO + millis.astype("timedelta64[ms]")
             stamps[~valid] = np.datetime64("NaT")
             return self._localize(pd.Series(stamps), vehicles)
+        if self.source.origin_column is not None:
+            return self._find_first(block, numbers[-1] * unit) + numbers[-1] * unit, np.zeros(len(numbers[-1]), bool)
         times = self._find_zero(table.path, day) + numbers[-1] * unit
         if len(numbers) > 1:
             times = times + numbers[0] * SECONDS_PER_WEEK
         return times, np.zeros(len(times), bool)
+
+    def _find_first(self, block: Block, counted: Floats) -> float:
+        """Return the Unix time of the number 0 in a file, by the first time in another column; NaN without one. [s]"""
+        cells = block.get(self.source.origin_column or "")
+        if self._zero_of_file is None and cells is not None:
+            if pa.types.is_timestamp(cells.type):
+                times, _ = self._localize(cells.to_pandas(), np.zeros(len(cells), "i4"))
+            else:
+                texts = pc.utf8_trim_whitespace(pc.cast(cells, pa.string()))
+                times, _ = self._parse(texts, np.zeros(len(cells), "i4"), None, {})
+            known = np.flatnonzero(np.isfinite(times) & np.isfinite(counted))
+            if len(known):
+                self._zero_of_file = float(times[known[0]] - counted[known[0]])
+        return np.nan if self._zero_of_file is None else self._zero_of_file
 
     def _find_zero(self, path: Path, day: str | None) -> float:
         """Return the Unix time of the number 0 in a file. [s]"""
@@ -124,6 +151,7 @@ class TimeReader:
         """Return the Unix times of dates [s], and which of them are unclear."""
         if stamps.dt.tz is not None:
             return to_unix(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
+        self.has_local_times = True
         times = self._to_unix(stamps, "NaT")
         unclear: Bools = np.isnan(times) & stamps.notna().to_numpy()
         if unclear.any():

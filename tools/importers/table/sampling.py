@@ -6,7 +6,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.tools.importers.table.units import POWER
+from socast.tools.importers.table.units import OF_WEATHER, POWER
 
 HOLD: Final = 30.0
 """Age up to which a value that changes fast stays known. [s]"""
@@ -26,7 +26,7 @@ LONGEST_PERIOD: Final = 60.0
 """Longest period of samples. [s]"""
 AVERAGED: Final = ("speed_kmh", "battery_voltage_v", "battery_current_a", POWER, "hvac_w")
 """Fields of which a sample holds the mean over its period; of all others it holds the latest value."""
-SLOW: Final = ("battery_temperature_c", "ambient_c", "occupants", "charging")
+SLOW: Final = ("battery_temperature_c", "ambient_c", "occupants", "charging", *OF_WEATHER)
 """Fields that change slowly."""
 NOT_HELD: Final = ("latitude_deg", "longitude_deg", "elevation_m", "odometer_km", "soc_pct")
 """Fields that are sent only where a row has them: a value of before would say that the car stood still."""

@@ -56,6 +56,9 @@ class TimeSource(NamedTuple):
     gap_s : float, optional
         Time from the last row of a file to the number 0 of the next one, where the files follow each other at invented
         dates. [s]
+    origin_column : str, optional
+        Column whose first time in a file is that of the first row, for numbers that count from 0 in each file. `form`
+        is then the format of this column.
     """
 
     columns: tuple[str, ...]
@@ -69,6 +72,7 @@ class TimeSource(NamedTuple):
     add_weeks: int = 0
     is_serial: bool = False
     gap_s: float | None = None
+    origin_column: str | None = None
 
     @property
     def is_relative(self) -> bool:

@@ -12,6 +12,18 @@ from socast.core.errors import SettingsError
 POWER: Final = "battery_power_kw"
 """Power of the traction battery, positive when discharging. It is sent as voltage times current."""
 
+OF_WEATHER: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "wind_speed_kmh": "km/h",
+        "wind_from_deg": "degree",
+        "precipitation_mm": "mm",
+        "pressure_hpa": "hPa",
+        "humidity_pct": "percent",
+        "solar_w_m2": "W/m^2",
+    }
+)
+"""Field of a weather observation that the rows of a car may hold -> its unit in the wire contract."""
+
 FIELD_UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "latitude_deg": "degree",
@@ -28,6 +40,7 @@ FIELD_UNITS: Final[Mapping[str, str]] = MappingProxyType(
         "hvac_w": "W",
         "occupants": "",
         "charging": "",
+        **OF_WEATHER,
     }
 )
 """Field of a map -> its unit in the wire contract, empty for a pure number."""
@@ -77,6 +90,15 @@ SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
         "f": "degF",
         "kelvin": "K",
         "k": "K",
+        "w/m2": "W/m^2",
+        "w/m²": "W/m^2",
+        "hpa": "hPa",
+        "mb": "mbar",
+        "inhg": "inHg",
+        "kn": "knot",
+        "kt": "knot",
+        "kts": "knot",
+        "inches": "inch",
     }
 )
 """Spelling of a unit in small letters -> the one that pint reads."""
@@ -123,6 +145,9 @@ def spell_unit(unit: str, field: str) -> str:
     """Return a unit as pint spells it."""
     plain = re.sub(r"\s+", "", unit).replace("º", "°")
     lower = plain.lower()
+    if field == "precipitation_mm":  # a rate is the amount of an hour
+        plain = re.sub(r"/(h|hr|hour)$", "", plain)
+        lower = plain.lower()
     is_letter = lower in _LETTERS_OF_TEMPERATURE and FIELD_UNITS[field] != _CELSIUS
     return plain if is_letter else SPELLINGS.get(lower, plain)
 
@@ -137,6 +162,8 @@ def suggest_units(field: str) -> str:
         "kW": "kW or W",
         "W": "W or kW",
         "m": "m or ft",
+        "mm": "mm or mm/h",
+        "W/m^2": "W/m^2",
     }.get(FIELD_UNITS[field], FIELD_UNITS[field] or "1")
 
 

@@ -40,7 +40,7 @@ def tabulate_missing_effects(result: Diagnosis) -> ReportTable:
         notes=(MISSING_NOTE,),
         strong=lambda name, place, _: place == 1 and name in {"gain", "probability"},
         numbered=True,
-        formats={**FORMATS, "coefficient": _format_coefficient},
+        formats={**FORMATS, "coefficient": format_coefficient},
     )
 
 
@@ -96,7 +96,7 @@ def tabulate_structure(result: Diagnosis) -> ReportTable:
     return ReportTable("Remaining error", "structure", ("share",), rows, (note,))
 
 
-def _format_coefficient(coefficient: EstimatedCoefficient) -> str:
+def format_coefficient(coefficient: EstimatedCoefficient) -> str:
     """Return a coefficient with its interval and unit."""
     value, limits = coefficient.value, coefficient.ci95
     if value is None:

@@ -28,12 +28,13 @@ def make_rows(start=None, **factors):
     return rows
 
 
-def check(rows, model="nissan-leaf-2013", window=None):
+def check(rows, model="nissan-leaf-2013", window=None, *, is_zone_assumed=False):
     """Return the checks by their names."""
     sums = AgreementSums()
     for at in range(0, len(rows), window or len(rows)):
         sums.add(rows[at : at + (window or len(rows))])
-    return {each.name: each for each in check_agreement(sums.list_cars(["a"], {}, model))}
+    checks = check_agreement(sums.list_cars(["a"], {}, model), is_zone_assumed=is_zone_assumed)
+    return {each.name: each for each in checks}
 
 
 def test_right_data_agree():
@@ -85,3 +86,15 @@ def test_wrong_zone_makes_cars_drive_at_night():
 def test_data_that_are_missing_are_not_checked():
     rows = make_rows()[["time", "vehicle", "speed_kmh"]]
     assert {each.passed for each in check(rows).values()} == {None}
+
+
+def test_a_third_of_the_driving_at_night_is_told_where_the_zone_was_assumed():
+    # by the clock the drives begin at 14, 16 and 20 h, which is 19, 21 and 1 h of solar time at 76.4 degrees east
+    parts = [make_rows(start=1714572000.0 + hour * 3600.0) for hour in (0.0, 2.0, 6.0)]
+    rows = np.concatenate(parts)
+    rows["longitude_deg"] = 76.4
+    found = check(rows, is_zone_assumed=True)["clock against sun"]
+    assert found.passed is False
+    assert found.found == "33%, and 0% with local time"
+    assert "set zone = '+05:00'" in found.remedy
+    assert check(rows)["clock against sun"].passed

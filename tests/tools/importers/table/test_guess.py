@@ -52,6 +52,18 @@ NAMES = [
     ("Vehicle.Powertrain.TractionBattery.CurrentPower", "battery_power_kw", None),
     ("Vehicle.Exterior.AirTemperature", "ambient_c", None),
     ("Vehicle.CurrentLocation.Latitude", "latitude_deg", None),
+    ("REESSCurrent", "battery_current_a", None),
+    ("REESSVoltage", "battery_voltage_v", None),
+    ("U_REESS", "battery_voltage_v", None),
+    ("DAActualSpeed", "speed_kmh", None),
+    ("tempAmb", "ambient_c", None),
+    ("PhaseTime", "other time", None),
+    ("windSpeedKph", "wind_speed_kmh", "Kph"),
+    ("wind_dir", "wind_from_deg", None),
+    ("rain_mm/h", "precipitation_mm", "mm/h"),
+    ("Irradiance (W/m²)", "solar_w_m2", "W/m²"),
+    ("Relative humidity (%)", "humidity_pct", "%"),
+    ("pressure_msl (hPa)", "pressure_hpa", "hPa"),
 ]
 
 
@@ -63,8 +75,9 @@ def test_name_gives_field_and_unit(name, role, unit):
 @pytest.mark.parametrize(
     "name",
     [
-        "wind speed",
-        "windSpeedKph",
+        "wind gust speed",
+        "surface pressure",
+        "precipitation probability",
         "speed_limit_kph",
         "motor power",
         "motor_kW",
