@@ -55,7 +55,7 @@ from socast.core.diagnose.records import (
 )
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
-from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, select_missing
+from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, list_scoped, select_missing
 from socast.core.diagnose.slices.search import find_slices
 from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
@@ -166,10 +166,10 @@ def _diagnose(
     selection = select_missing(base, inference, clusters, seed, least_gain)
     missing = selection.effects
     report(0.8, "searching the remaining error")
-    remains = residual_structure.measure_residual_structure(selection)
+    named = selection.keep((*missing, *list_scoped(inference, dated=dated)))
+    remains = residual_structure.measure_residual_structure(named)
     unknown = set(remains.signs) - {"better"}
-    left = selection.compute_residual(selection.build_basis())
-    suggested = _suggest(selection, left) if unknown else None
+    suggested = _suggest(named, named.compute_residual(named.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     report(0.9, "searching for slices")
     error = seen.by_ride(seen.predicted - seen.measured)
@@ -197,7 +197,7 @@ def _diagnose(
         suggestion=None if suggested is None else suggested.formula,
         suggestion_file=None if suggested is None else suggested.file,
         steps=compute_steps(selection, floor),
-        profiles=profile_residual(selection),
+        profiles=profile_residual(named),
         deviations=describe_deviations(seen, inference, dated=dated),
         cars=rank_cars(inference),
     )

@@ -178,8 +178,8 @@ class ResidualProfile(Record, frozen=True):
     feature: str
     unit: Annotated[str, declare("Unit of `x`, empty for a category.")] = ""
     x: Annotated[list[float | str], declare("Means of bins, or names.")] = []
-    before_w: Annotated[list[float], declare("Without the missing effects. [W]")] = []
-    after_w: Annotated[list[float], declare("With the missing effects. [W]")] = []
+    before_w: Annotated[list[float], declare("Without what is named. [W]")] = []
+    after_w: Annotated[list[float], declare("With what is named. [W]")] = []
     ci95_w: Annotated[list[float | None], declare("Half widths of the 95 % intervals of `after_w`. [W]")] = []
     windows: list[int] = []
     days: Annotated[list[int], declare("Numbers of vehicle-days.")] = []
@@ -309,18 +309,18 @@ class ErrorLocation(Record, frozen=True):
 
 
 class RemainingStructure(Record, frozen=True):
-    """Hold how much of the error can be predicted before and after the missing effects."""
+    """Hold how much of the error can be predicted before and after what is named, in all cars and in some."""
 
     before: Annotated[float | None, declare("Share of the variance that trees predict on other days. [1]")] = None
-    after: Annotated[float | None, declare("The same after the missing effects. [1]")] = None
+    after: Annotated[float | None, declare("The same after what is named. [1]")] = None
     after_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `after`. [1]")] = None
-    taken: Annotated[float | None, declare("Share of the predictable part that the effects explain. [1]")] = None
-    least: Annotated[float | None, declare("Share that they must explain to explain it all. [1]")] = None
+    taken: Annotated[float | None, declare("Share of the predictable part that this explains. [1]")] = None
+    least: Annotated[float | None, declare("Share that it must explain to explain it all. [1]")] = None
     shape: Annotated[str | None, declare("Plain pattern that remains.")] = None
     q: Annotated[float | None, declare("Rate of false patterns up to this one. [1]")] = None
     shape_taken: Annotated[float | None, declare("Held-out share of the error that the pattern explains. [1]")] = None
     shape_taken_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `shape_taken`. [1]")] = None
-    better: Annotated[dict[str, str], declare("Missing effect -> pattern that explains more than it does.")] = {}
+    better: Annotated[dict[str, str], declare("Named effect -> pattern that explains more than it does.")] = {}
     signs: Annotated[list[str], declare("Evidence of structure: `trees`, `shape`, `better`, `days`.")] = []
     days: Annotated[float | None, declare("Variance between vehicle-days over that by chance. [1]")] = None
     most_days: Annotated[float | None, declare("Largest `days` that chance explains. [1]")] = None

@@ -74,7 +74,7 @@ def test_terminal_shows_all_parts_in_order():
         ),
         (
             "boosted trees predict 5.0 % of its variance on held-out days; "
-            "the missing effects explain 58 % of the predictable"
+            "what is named explains 58 % of the predictable"
         ),
         "A term that fits the remaining error: P = (average speed)^2 v",
         "Try cold_rolling first, in all cars: these data do not tell it from air_density.",
@@ -282,7 +282,7 @@ def test_bins_that_compare_marks_are_named_where_no_group_differs():
 def test_signs_of_structure_have_intervals():
     structure = {"signs": ["trees", "shape"], "after": 0.05, "after_ci95": [0.02, 0.08], "shape": "stops * sun"}
     structure |= {"shape_taken": 0.024, "shape_taken_ci95": [0.01, 0.038], "least": 0.8}
-    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure).structure)
+    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure))
     assert "predict 5.0 % (95 % interval 2.0 % to 8.0 %) of its variance" in trees
     assert "explains 2.4 % (95 % interval 1.0 % to 3.8 %) of the squared error" in shape
 

@@ -114,8 +114,8 @@ def draw_remainder(result: Diagnosis) -> list[Illustration]:
     """Draw how much of the remaining error can be predicted, and its mean along each feature."""
     part = result.structure
     bars = [
-        ("before the missing effects", part.before),
-        ("after them", part.after),
+        ("before what is named", part.before),
+        ("after it", part.after),
     ]
     known = [(what, PERCENT * max(value, 0.0)) for what, value in bars if value is not None]
     shown = []

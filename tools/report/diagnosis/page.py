@@ -89,7 +89,7 @@ def print_step(result: Diagnosis, step: int, console: Console) -> None:
     meaning, *more = sentences.describe_missing_effect(first)
     print_lines([sentences.describe_error(result)[0], f"Missing: {first.name}: {meaning}", *more], console)
     if result.structure_remains:
-        signs = sentences.describe_signs(result.structure)
+        signs = sentences.describe_signs(result)
         print_lines(["The remaining error has further structure:", *signs], console)
 
 

@@ -13,7 +13,6 @@ from socast.core.diagnose.records import (
     Diagnosis,
     HeldOutRides,
     NamedEffect,
-    RemainingStructure,
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
@@ -344,25 +343,27 @@ def describe_remainder(result: Diagnosis) -> list[str]:
         if floor is not None and last <= floor and not excessive and not result.structure_remains:
             lines.append("The remaining error does not exceed measurement noise.")
     if result.structure_remains:
+        beside = "Beside what is named, the" if result.missing or result.deviations else "The"
         lines.append(
-            f"{'Beside what is named, the' if result.missing else 'The'} remaining error has structure. Its cause is "
-            "not in the library, or too weak to be distinguished from other causes:"
+            f"{beside} remaining error has structure. Its cause is not in the library, or too weak to be distinguished "
+            "from other causes:"
         )
-        lines += describe_signs(result.structure)
+        lines += describe_signs(result)
     elif result.steps:
         complete = ": the data show no further effect" if result.missing else ""
         lines.append(f"The remaining error has no structure that can be predicted{complete}.")
     return lines
 
 
-def describe_signs(structure: RemainingStructure) -> list[str]:
+def describe_signs(result: Diagnosis) -> list[str]:
     """Return the evidence that the remaining error has structure."""
+    structure, is_named = result.structure, bool(result.missing or result.deviations)
     signs, taken = structure.signs, structure.taken
     least = format_percent(structure.least, 0)
     share = (
         ""
-        if taken is None
-        else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
+        if taken is None or not is_named
+        else f"; what is named explains {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
     texts = {
         "trees": f"boosted trees predict {format_percent(structure.after)}{word_interval(structure.after_ci95)} of "

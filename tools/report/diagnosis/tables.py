@@ -74,13 +74,13 @@ def tabulate_errors(result: Diagnosis) -> ReportTable:
 
 
 def tabulate_structure(result: Diagnosis) -> ReportTable:
-    """Return the predictable share of the error before and after the missing effects, and that of a plain pattern."""
+    """Return the predictable share of the error before and after what is named, and that of a plain pattern."""
     part = result.structure
     values = (
-        ("predictable before the missing effects", part.before, None),
-        ("predictable after them", part.after, part.after_ci95),
-        ("explained by them", part.taken, None),
-        ("required for them to explain it all", part.least, None),
+        ("predictable before what is named", part.before, None),
+        ("predictable after it", part.after, part.after_ci95),
+        ("explained by it", part.taken, None),
+        ("required for it to explain all", part.least, None),
         (
             "explained by a plain pattern that remains",
             part.shape_taken if "shape" in part.signs else None,
