@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from socast.core.fit.recipes import FIRST_RECIPE as _FIRST_RECIPE
 from socast.core.fit.recipes import RECIPES as _RECIPES
 from socast.core.fit.recipes import get_recipe as _get_recipe
 from socast.core.fit.window_recipe import WindowRecipe as _WindowRecipe
@@ -33,7 +34,7 @@ def list_recipes() -> dict[str, str]:
     return {name: recipe.title for name, recipe in _RECIPES.items()}
 
 
-def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame | None = None) -> LinearModel:
+def fit_model(rides: pd.DataFrame, recipe: str = _FIRST_RECIPE, windows: pd.DataFrame | None = None) -> LinearModel:
     """Fit a model to measured rides.
 
     Parameters
@@ -41,10 +42,10 @@ def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame
     rides : (n, columns) DataFrame
         A ride table. Rides that are unfit for training are left out.
     recipe : str
-        A name that `list_recipes` returns.
+        A name that `list_recipes` returns. The default is physics with priors, which one ride suffices to fit.
     windows : (m, columns) DataFrame, optional
-        The window table of the same rides. The recipes `road_load` and `road_load_constant` are fitted to it; without
-        it they are fitted to rides, with wider intervals. The other recipes do not read it.
+        The window table of the same rides. The recipes `road_load*` are fitted to it; without it they are fitted to
+        rides, with wider intervals. The other recipes do not read it.
 
     Returns
     -------
@@ -60,8 +61,8 @@ def fit_model(rides: pd.DataFrame, recipe: str = "hybrid", windows: pd.DataFrame
     --------
     >>> import socast
     >>> tables = socast.make_tables("recordings/shift.mcap")
-    >>> socast.fit_model(tables.rides, "basic_physical").recipe
-    'basic_physical'
+    >>> socast.fit_model(tables.rides, windows=tables.windows).recipe
+    'road_load_full'
     """
     chosen = _get_recipe(recipe)
     if isinstance(chosen, _WindowRecipe):

@@ -1,13 +1,22 @@
 """Summarise a fitted model: its coefficients with 95 % intervals, and its errors on the rides fitted to."""
 
+from collections.abc import Mapping
 from math import sqrt
+from types import MappingProxyType
 from typing import Final
 
 from msgspec import UNSET
 
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.fit.recipes import RECIPES
-from socast.core.fit.records import FitSummary, FittedCoefficient, FittedCurve, VehicleModelFit, find_fit_step
+from socast.core.fit.records import (
+    Determination,
+    FitSummary,
+    FittedCoefficient,
+    FittedCurve,
+    VehicleModelFit,
+    find_fit_step,
+)
 from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import LinearModel
 from socast.core.models.plausibility import get_plausible_ranges, is_within
@@ -18,8 +27,10 @@ LEAST_PRIOR_FREEDOM: Final = 4
 """Least degrees of freedom of an interval whose coefficient has a prior: the prior is known without any ride."""
 
 
-def summarise_model(model: LinearModel) -> FitSummary:
-    """Return the fits of a model."""
+def summarise_model(
+    model: LinearModel, determined: Mapping[str, list[Determination]] = MappingProxyType({})
+) -> FitSummary:
+    """Return the fits of a model, and how far the rides determine the coefficients of each where that is given."""
     step, recipe = find_fit_step(model), RECIPES.get(model.recipe)
     errors = step.mae_in_sample_kwh or {}
     fits = {
@@ -35,6 +46,7 @@ def summarise_model(model: LinearModel) -> FitSummary:
             limited=fitted.limited,
             curve=None if fitted.curve is None else _convert_to_celsius(fitted.curve),
             coefficients=list_coefficients(model, key),
+            determined=determined.get(key, []),
         )
         for key, fitted in model.fits.items()
     }

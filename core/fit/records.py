@@ -42,6 +42,22 @@ class FittedCoefficient(Record, frozen=True):
     plausible: Annotated[bool, declare("Whether the value lies in it.")] = True
 
 
+class Determination(Record, frozen=True):
+    """Hold how far the rides of a fit determine a coefficient, and what would determine it.
+
+    A coefficient is determined where its standard deviation is at most half that of its prior.
+    """
+
+    name: Annotated[str, declare("Term of the model, or level of the accessory curve.")]
+    sd_over_prior: Annotated[float, declare("Standard deviation over that of the prior. [1]")]
+    determined: bool
+    days: Annotated[
+        int | None, declare("Number of more days like those of the fit that determine it; None for more than 200.")
+    ] = None
+    drive: Annotated[str, declare("Kind of a drive of 30 min that determines it soonest; empty for none.")] = ""
+    drives: Annotated[int | None, declare("Number of such drives; None for more than 10.")] = None
+
+
 class FittedCurve(Record, frozen=True):
     """Hold the accessory power of a fit over the outside temperature."""
 
@@ -68,6 +84,9 @@ class VehicleModelFit(Record, frozen=True):
     limited: Annotated[tuple[str, ...], declare("What stopped at an end of its plausible range.")]
     curve: FittedCurve | None
     coefficients: list[FittedCoefficient]
+    determined: Annotated[
+        list[Determination], declare("How far the rides determine each coefficient, for recipes with priors.")
+    ] = []
 
 
 class FitSummary(Record, frozen=True):

@@ -10,6 +10,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
+from socast.core.fit.recipes import FIRST_RECIPE
 from socast.core.fit.recipes import get_recipe as named
 from socast.core.fit.ride_blocks import ENERGY
 from socast.core.fit.window_recipe import WindowRecipe
@@ -43,7 +44,7 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
     model_: LinearModel
 
     def __init__(
-        self, recipe: str = "hybrid", *, covariance: bool = False, windows: pd.DataFrame | None = None
+        self, recipe: str = FIRST_RECIPE, *, covariance: bool = False, windows: pd.DataFrame | None = None
     ) -> None:
         self.recipe = recipe
         self.covariance = covariance

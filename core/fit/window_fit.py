@@ -57,8 +57,10 @@ from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, l
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
 from socast.core.vehicles.fleet import CarParameters
 
+LEAST_RIDES: Final = 1
+"""Fewest rides for a fit."""
 LEAST_OWN_RIDES: Final = 3
-"""Fewest rides for a fit, and for a fit of a vehicle model of its own."""
+"""Fewest rides for a fit of a vehicle model of its own, where there are others."""
 PRIOR_SHARE: Final = 0.8
 """Posterior over prior variance above which a coefficient counts as fixed by its prior. [1]"""
 NEAR_LIMIT: Final = 1e-6
@@ -77,7 +79,11 @@ READ: Final = (
 
 
 def fit_rows(
-    name: str, terms: tuple[Term, ...], rows: pd.DataFrame, ride_table: pd.DataFrame | None = None
+    name: str,
+    terms: tuple[Term, ...],
+    rows: pd.DataFrame,
+    ride_table: pd.DataFrame | None = None,
+    distortions: Mapping[str, float] = DISTORTIONS,
 ) -> tuple[LinearModel, dict[str, GroupFit]]:
     """Return a model fitted to measured rows, without an interval, and the fit of each vehicle model.
 
@@ -85,11 +91,14 @@ def fit_rows(
     ----------
     ride_table : DataFrame, optional
         Rides of the same recordings, to say why rides are left out where too few are left.
+    distortions : mapping of str to float
+        Standard deviations of the distortions of sampling, in the order of `DISTORTIONS`.
 
     Returns
     -------
     model : LinearModel
-        Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, and the fit `*` of all rides.
+        Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, or for the only one, and the fit
+        `*` of all rides.
     """
     _check(name, terms, rows)
     read = _list_columns(terms)
@@ -98,10 +107,10 @@ def fit_rows(
     good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     keys = good["ride_key"].to_numpy(dtype=object)
-    if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
+    if (count := len(set(keys.tolist()))) < LEAST_RIDES:
         every = rows.drop_duplicates("ride_key") if ride_table is None else ride_table
         reasons = select_trainable(every, [column for column in read if column in every])[1]
-        raise ModelError(word_too_few_rides(name, count, LEAST_OWN_RIDES, reasons))
+        raise ModelError(word_too_few_rides(name, count, LEAST_RIDES, reasons))
     fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
     rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())
@@ -109,9 +118,9 @@ def fit_rows(
     fits = {}
     with limit_to_one_thread():
         for key, at in _split_groups(kinds):
-            if rides[key] < LEAST_OWN_RIDES or (alone and key == ANY):
+            if key == ANY if alone else (key != ANY and rides[key] < LEAST_OWN_RIDES):
                 continue
-            group = gather_rows(terms, good.iloc[at], fills[key])
+            group = gather_rows(terms, good.iloc[at], fills[key], distortions)
             groups[key] = solve_group(group)
             fits[key] = _convert(terms, group, groups[key], fills[key], _find_limit(group, good.iloc[at]))
     if alone:
@@ -157,7 +166,12 @@ def _find_fills(terms: Sequence[Term], rows: pd.DataFrame) -> dict[str, float]:
     return fills
 
 
-def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, float]) -> GroupRows:
+def gather_rows(
+    terms: Sequence[Term],
+    rows: pd.DataFrame,
+    fills: Mapping[str, float],
+    distortions: Mapping[str, float] = DISTORTIONS,
+) -> GroupRows:
     """Return the columns of rows that a fit needs."""
     columns, n = Columns(rows, fills), len(rows)
     curved = any(is_curved(term) for term in terms)
@@ -166,7 +180,7 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
     time = [hours * columns["accessory_scale"] / 1e3] if curved else []
     rolling = columns["effect_rolling"] * columns["rolling_resistance"]
     prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
-    spread = np.array(list(DISTORTIONS.values()))
+    spread = np.array(list(distortions.values()))
     prior = _join(prior, Gaussian(np.zeros(len(spread)), np.diag(spread**2)))
     limits = np.column_stack([limits, np.tile([[-np.inf], [np.inf]], len(spread))])
     if curved:

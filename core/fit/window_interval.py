@@ -13,7 +13,7 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.fit.block_sums import build_design
-from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, group_errors
+from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, expect_interval, group_errors
 from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.nested_effects import compute_coefficients, integrate_car_factor
 from socast.core.fit.priors import compute_curve_columns, is_curved
@@ -30,7 +30,8 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
     Returns
     -------
     LinearModel
-        Without an interval where the rides are too few or lack a column that the scale of errors needs.
+        Without an interval where the rides lack a column that the scale of errors needs. Where they are too few to
+        calibrate one, it has that of `expect_interval`.
     """
     good, left_out = select_trainable(rides, [*model.needs, ENERGY])
     model = _describe(model, good, dict(left_out))
@@ -43,7 +44,10 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
         own[rows] = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows]).without_day()
         if len(rows) < len(good):
             every[rows] = _leave_out_rows(model, groups, good, rows)
-    interval = calibrate_interval(*(_list_known(group_errors(good, error)) for error in (own, every)))
+    seen, unseen = (_list_known(group_errors(good, error)) for error in (own, every))
+    interval = calibrate_interval(seen, unseen) if seen else None
+    if interval is None and seen:
+        interval = expect_interval(seen)
     return stamp(msgspec.structs.replace(model, interval=interval))
 
 

@@ -1,19 +1,23 @@
 """Recipes of physical terms that are fitted to windows, with physics as the prior."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 from msgspec.structs import replace
 
-from socast.core.fit.distortions import DISTORTED_COLUMNS
+from socast.core.fit.determination import determine_terms
+from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.measured_rows import join_tables
-from socast.core.fit.records import find_fit_step
-from socast.core.fit.ride_blocks import ENERGY, get_numbers
-from socast.core.fit.window_fit import READ, fit_rows
+from socast.core.fit.records import Determination, find_fit_step
+from socast.core.fit.ride_blocks import ENERGY, get_numbers, select_trainable
+from socast.core.fit.window_fit import READ, fit_rows, gather_rows
 from socast.core.fit.window_interval import add_window_interval
-from socast.core.models import VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
+from socast.core.fit.window_solver import GroupFit
+from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
 from socast.core.models.features import list_raw_columns
+from socast.core.vehicles.fleet import CarParameters
 
 IDENTITY: tuple[str, ...] = ("ride_key", "start_s", VEHICLE, VEHICLE_MODEL, ENERGY, "energy_sd_kwh")
 """Columns of windows that every fit reads."""
@@ -29,12 +33,15 @@ class WindowRecipe:
         Name in code and files, and title for people.
     terms : tuple of Term
         Terms of the model; each adds up over the windows of a ride.
+    distortions : mapping of str to float
+        Standard deviations of the distortions of sampling, see `socast.core.fit.distortions`.
     """
 
     name: str
     title: str
     terms: tuple[Term, ...]
     note: str = ""
+    distortions: Mapping[str, float] = field(default_factory=lambda: DISTORTIONS, hash=False)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -53,14 +60,34 @@ class WindowRecipe:
         covariance : bool
             Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
         """
+        return self._fit(rides, windows, covariance=covariance)[0]
+
+    def determine(
+        self, rides: pd.DataFrame, windows: pd.DataFrame | None = None
+    ) -> tuple[LinearModel, dict[str, list[Determination]]]:
+        """Return a fitted model as `fit` does, and how far the rides determine its coefficients, by vehicle model."""
+        model, groups, rows = self._fit(rides, windows, covariance=True)
+        rows, _ = select_trainable(rows, [name for name in self.columns if name in rows])
+        found = {}
+        for key, fitted in groups.items():
+            own = rows if key == ANY else rows[rows[VEHICLE_MODEL] == key]
+            figures = {name: float(own[name].mean()) for name in (*CarParameters._fields, "ambient_c")}
+            gathered = gather_rows(self.terms, own, model.fits[key].fills, self.distortions)
+            found[key] = determine_terms(self.terms, gathered, fitted, figures)
+        return model, found
+
+    def _fit(
+        self, rides: pd.DataFrame, windows: pd.DataFrame | None, *, covariance: bool
+    ) -> tuple[LinearModel, dict[str, GroupFit], pd.DataFrame]:
+        """Return the model, the fit of each vehicle model, and the rows of rides fit for training."""
         rows = _select(rides) if windows is None else join_tables(rides, windows)
-        model, groups = fit_rows(self.name, self.terms, rows, rides)
+        model, groups = fit_rows(self.name, self.terms, rows, rides, self.distortions)
         if covariance:
             model = add_window_interval(model, groups, rides)
         step = replace(
             find_fit_step(model), action="fit", recipe=self.name, rows="rides" if windows is None else "windows"
         )
-        return stamp(replace(model, history=(step.to_json(),)))
+        return stamp(replace(model, history=(step.to_json(),))), groups, rows
 
 
 def _select(rides: pd.DataFrame) -> pd.DataFrame:

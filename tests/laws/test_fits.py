@@ -24,6 +24,9 @@ def fleet(n: int, seed: int, models=MODELS, moving: float = 0.01) -> pd.DataFram
     inertia = np.where(rng.random(n) < moving, rng.normal(0.0, 0.02, n), rng.normal(0.0, 1e-17, n))
     braked = 0.3 * table["effect_inertia_positive"] - 0.3 * table["effect_climbing_down"]
     table = table.assign(effect_inertia=inertia, effect_braking=braked, unresolved_braking_kwh=0.0)
+    cold = table["effect_rolling"] * np.maximum(20.0 - table["ambient_c"], 0.0)
+    force = rng.uniform(200.0, 900.0, n)  # at the wheels, root of the mean square [N]
+    table = table.assign(effect_cold_rolling=cold, effect_drivetrain_loss_torque=force**2 * table["duration_s"] / 3.6e6)
     table["ride_key"] = [f"{seed}#{i}" for i in range(n)]
     energy = physical_energy(table, {"rolling": 1.3}) + 0.3 * table["effect_climbing_up"].to_numpy()
     table = noisy(table, energy, seed)

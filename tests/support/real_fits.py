@@ -110,7 +110,7 @@ def draw_splits(dates: np.ndarray, count: int | None) -> Iterator[tuple[np.ndarr
             yield np.sort(rng.permutation(np.flatnonzero(~test))[:count]), test
 
 
-def evaluate_fits(tables: Tables, count: int | None) -> Result:
+def evaluate_fits(tables: Tables, count: int | None, recipe: str = RECIPE) -> Result:
     """Return the error of rides of other dates, and the coefficients outside of their plausible ranges.
 
     Parameters
@@ -119,6 +119,8 @@ def evaluate_fits(tables: Tables, count: int | None) -> Result:
         Tables of a car.
     count : int, optional
         Number of rides to fit to; all of other dates without it.
+    recipe : str
+        Name of the recipe to fit.
 
     Returns
     -------
@@ -128,7 +130,7 @@ def evaluate_fits(tables: Tables, count: int | None) -> Result:
     errors: list[float] = []
     outside: dict[str, int] = {}
     for train, test in draw_splits(tables.rides["date"].to_numpy(dtype=str), count):
-        model = fit_to_windows(RECIPE, tables.rides.iloc[train], tables.windows, covariance=False)
+        model = fit_to_windows(recipe, tables.rides.iloc[train], tables.windows, covariance=False)
         held = tables.rides.loc[test]
         errors += np.abs(model.predict_energy(held) - held["energy_kwh"].to_numpy()).tolist()
         for name in {name for names in list_implausible(model).values() for name in names}:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import pandas as pd
 import typer
 from rich.console import Console
 
@@ -11,8 +12,9 @@ from socast.core import models
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.fit.model_summary import summarise_model
 from socast.core.fit.pooled import adapt
-from socast.core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
+from socast.core.fit.recipes import FIRST_RECIPE, RECIPES, LinearRecipe, Recipe, get_recipe
 from socast.core.fit.records import (
+    Determination,
     FitSummary,
     FittedCoefficient,
     FittedCurve,
@@ -36,8 +38,8 @@ from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import is_table, read
 
-RECOMMENDED = "road_load"
-"""The recommended first recipe: textbook physics with priors needs few rides, and what it lacks can be found."""
+BASE_RECIPE = "road_load"
+"""The recipe from which a diagnosis begins: textbook physics with priors, whose missing effects can be found."""
 
 
 @insert_cluster_options
@@ -81,7 +83,8 @@ def fit(
     if (recipe_name is None) == (adapt_to is None):
         raise SettingsError(
             "give either --recipe NAME to fit a model or --adapt MODEL.json to adapt one to more rides; "
-            f"start with --recipe {RECOMMENDED}, or choose from {', '.join(RECIPES)}"
+            f"start with --recipe {FIRST_RECIPE} for forecasts, --recipe {BASE_RECIPE} for a diagnosis, or choose from "
+            f"{', '.join(RECIPES)}"
         )
     if recipe_name is not None and recipe_name not in RECIPES:
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
@@ -92,13 +95,19 @@ def fit(
     _refuse_undivided(chosen, place, adapted=base is not None)
     with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
         files = made.files
+        determined: dict[str, list[Determination]] = {}
         if place and isinstance(chosen, LinearRecipe):
             model = _fit_by_workers(chosen, files, out, place)
         else:
             with show_elapsed("fitting"):
-                model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
+                if base is not None:
+                    model = adapt(base, RideParquet(tuple(files)).table())
+                elif isinstance(chosen, WindowRecipe):
+                    model, determined = chosen.determine(*_read_tables(files))
+                else:
+                    model = _fitted(chosen, files)
     models.save(model, out)
-    fitted = summarise_model(model)
+    fitted = summarise_model(model, determined)
     write_json(json_file, "fit", fitted.to_json())
     console = make_console(json_file)
     show(fitted, model, console)
@@ -110,11 +119,14 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     """Return the fitted model; use little memory if the recipe allows it."""
     if isinstance(chosen, LinearRecipe):
         return chosen.fit_parquet(*files)
-    if isinstance(chosen, WindowRecipe):
-        beside = [file.with_name(WINDOWS) for file in files]
-        there = all(map(is_table, beside))
-        return chosen.fit(read(files), read(beside) if there else None)
     return chosen.fit(RideParquet(tuple(files)).table())
+
+
+def _read_tables(files: Sequence[Path]) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """Return the rides, and the windows where each file has them beside it."""
+    beside = [file.with_name(WINDOWS) for file in files]
+    there = all(map(is_table, beside))
+    return read(files), read(beside) if there else None
 
 
 def _refuse_undivided(chosen: Recipe, place: ClusterPlace | None, *, adapted: bool) -> None:
@@ -200,8 +212,35 @@ def _show_coefficients(made: FitSummary, model: LinearModel, console: Console) -
     for key in (key for key, fit in made.fits.items() if not fit.converged):
         line = f"NOT converged: the fit of {key} ended before its coefficients were the most probable ones"
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+    _show_determined(made.fits, console)
     for line in describe_implausible(model):
         console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_determined(fits: Mapping[str, VehicleModelFit], console: Console) -> None:
+    """Print which coefficients the rides do not determine, and what would; once where `*` repeats the only fit."""
+    for key, fit in fits.items():
+        if key == ANY and any(fit.determined == other.determined for name, other in fits.items() if name != ANY):
+            continue
+        rest = [each for each in fit.determined if not each.determined]
+        ways: dict[str, list[str]] = {}
+        for each in rest:
+            ways.setdefault(_advise(each), []).append(f"{each.name} {100 * each.sd_over_prior:.0f} %")
+        if rest:
+            told = f"{len(fit.determined) - len(rest)} of {len(fit.determined)} numbers"
+            head = f"{'any other (*)' if key == ANY else key}: the rides determine {told}. What is left of the prior's"
+            console.print(
+                f"{head} spread in the others, and what would take it to half:", highlight=False, soft_wrap=True
+            )
+        for way, names in ways.items():
+            console.print(f"  {', '.join(names)}: {way}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _advise(one: Determination) -> str:
+    """Return what would determine a coefficient."""
+    ways = [f"{format_count(one.drives, 'drive')} of 30 min {one.drive}"] if one.drives else []
+    ways += [f"{format_count(one.days, 'more day')} like these"] if one.days else []
+    return " or ".join(ways) or "more such days and usual drives would not"
 
 
 def _format_coefficient(one: FittedCoefficient, held: Collection[str]) -> str:

@@ -77,7 +77,7 @@ def build_sections(result: SpikeScores) -> list[Section]:
         f"vehicle-days; the diagnosed model is {result.recipe}, fitted to each recording."
     )
     placebo = tabulate_records(
-        "The recording as it is", result.placebo, PlaceboName, formats=FORMATS | {"coefficient": format_coefficient}
+        "The recording as it is", result.placebo, PlaceboName, formats={**FORMATS, "coefficient": format_coefficient}
     )
     refused = ReportTable(
         "Not put in", "effect", ("why",), tuple(Row(name, (Cell(why),)) for name, why in result.refused.items())

@@ -23,7 +23,7 @@ from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.selection import MissingEffect, Selection, select_missing
 from socast.core.effects.declaration import VARIANT
 from socast.core.errors import SocastError
-from socast.core.fit.recipes import get_recipe
+from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_names
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.core.stats.evidence import ClusterSums
@@ -83,7 +83,7 @@ def _word_scope(found: Finding) -> str:
 def study_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> Study:
     """Fit a model to tables and infer what it lacks, as `diagnose` does."""
     with threadpool_limits(1):
-        model = get_recipe(RECIPE).fit(rides, windows=windows, covariance=False)
+        model = fit_to_windows(RECIPE, rides, windows, covariance=False)
         seen = gather_windows(rides, windows, model)
         inference = infer_missing(gather_window_columns(seen, model))
         clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]

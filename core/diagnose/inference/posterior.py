@@ -20,11 +20,12 @@ from math import exp, inf, log, log1p, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
-from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Family, Place, list_families
+from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Event, Family, Place, list_families
 from socast.core.diagnose.inference.window_columns import Expected, WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
 from socast.core.effects.declaration import VARIANT
@@ -162,6 +163,7 @@ def infer_missing(
     columns: WindowColumns,
     inside: Sequence[str] = (),
     groups: Sequence[tuple[str, Ints]] = (),
+    events: Sequence[Event] = (),
     *,
     scopes: bool = True,
     seed: int = 0,
@@ -175,12 +177,14 @@ def infer_missing(
         Effects that the model has in all cars.
     groups : sequence of (str, (k,) int64)
         Name and vehicle-days of each group of vehicle-days.
+    events : sequence of Event
+        Known events, each a candidate of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
     report : callable
         Function that receives the share of the work that is done.
     """
-    families = list_families(columns, inside, groups, scopes=scopes)
+    families = list_families(columns, inside, groups, events, scopes=scopes)
     model, given = WindowModel(columns), None
     first: Alternatives | None = None
     for step, least in enumerate((*BESIDE, None)):
@@ -206,7 +210,8 @@ def infer_missing(
         if of_family[number] > LEAST:
             findings.append(examiner.examine(number, of_family[number]))
         report(0.6 + 0.4 * (done + 1) / min(len(ranked), MOST))
-    likely = [best[families.index(one.family)] for one in findings if one.is_likely]
+    numbers = {id(family): number for number, family in enumerate(families)}
+    likely = [best[numbers[id(one.family)]] for one in findings if one.is_likely]
     final = examiner.get_model(likely)
     names = columns.names
     everywhere = {family.who: number for number, family in enumerate(families) if not family.is_scoped}
@@ -271,11 +276,13 @@ class _Examiner:
         others = [row for other, row in self.best.items() if other != number and self._sampled[other] > LIKELY]
         without = self.get_model(others)
         both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
-        evidence = both.log_density - without.log_density + (log(2.0) if given.positive[at] else 0.0)
+        size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
+        evidence = both.log_density - without.log_density
+        if given.positive[at]:  # the prior is half a normal distribution
+            evidence += log(2.0) + float(log_ndtr(size.estimate.value / size.estimate.error))
         share = max(float(self.chances[at]) / max(sampled, 1e-12), 1e-12)
         odds = evidence + float(given.log_odds[at]) - log(share)
         name = columns.names[int(given.effect[at])]
-        size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
         rows = np.flatnonzero(given.family == number)
         of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)
         return Finding(

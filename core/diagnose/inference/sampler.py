@@ -30,8 +30,9 @@ def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floa
     """Return the log evidence of a set and one further alternative, less that of the set alone, for each of several."""
     own = given.own[further, further]
     if chosen:
-        inverse = np.linalg.inv(given.own[np.ix_(chosen, chosen)] + np.eye(len(chosen)))
-        beside = given.own[np.ix_(chosen, further)]
+        rows = np.array(chosen)
+        inverse = np.linalg.inv(given.own[np.ix_(rows, rows)] + np.eye(len(chosen)))
+        beside = given.own[np.ix_(rows, further)]
         gain = inverse @ beside
         precise, match = 1.0 + own - (beside * gain).sum(axis=0), given.match[further] - gain.T @ given.match[chosen]
     else:

@@ -5,7 +5,7 @@ dates of one change of one car. So a change of a car has one explanation.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -36,10 +36,12 @@ PRIOR_EFFECT: Final = 0.1
 """Probability beforehand that all cars lack an effect."""
 PRIOR_CAR: Final = 0.01
 """Probability beforehand that a car differs from its siblings by more than cars do."""
-PRIOR_CHANGE: Final = 0.1
+PRIOR_CHANGE: Final = 0.3
 """Probability beforehand that one of the cars changed, in one of them at most."""
 PRIOR_ALL: Final = 0.05
 """Probability beforehand that all cars, or a group, changed."""
+PRIOR_EVENT: Final = 0.15
+"""Probability beforehand that something changed at a known event, such as a visit to a workshop or new tyres."""
 ALWAYS_SIZE, SCOPED_SIZE = 0.5, 0.25
 """Standard deviation of a coefficient over the upper end of its plausible range, in all cars and within a scope. [1]"""
 LEAST_DATES: Final = 3
@@ -68,6 +70,21 @@ class Place(NamedTuple):
     since: str | None = None
     before: str | None = None
     begin: float | None = None
+
+
+class Event(NamedTuple):
+    """Hold a known event that may have changed a car.
+
+    Parameters
+    ----------
+    date : str
+        First date after it. [UTC]
+    vehicle : str
+        The car; empty for all cars.
+    """
+
+    date: str
+    vehicle: str = ""
 
 
 class Family(NamedTuple):
@@ -108,6 +125,7 @@ def list_families(
     columns: WindowColumns,
     inside: Sequence[str],
     groups: Sequence[tuple[str, Ints]] = (),
+    events: Sequence[Event] = (),
     *,
     scopes: bool = True,
 ) -> list[Family]:
@@ -119,6 +137,8 @@ def list_families(
         Effects that the model has, which are tested within scopes only.
     groups : sequence of (str, (k,) int64)
         Name and vehicle-days of each group.
+    events : sequence of Event
+        Known events, each a step of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
     """
@@ -136,6 +156,24 @@ def list_families(
     if scopes:
         declared = {columns.names[at]: at for at in range(len(columns.names)) if columns.names[at] in variants}
         out += _list_scoped(columns, declared, groups)
+        out += _list_events(columns, declared, events)
+    return out
+
+
+def _list_events(columns: WindowColumns, declared: Mapping[str, int], events: Sequence[Event]) -> list[Family]:
+    """Return the families of known events that lie between dates with drives of the cars concerned."""
+    out: list[Family] = []
+    changing = tuple(declared[name] for name in CHANGING if name in declared)
+    for event in events:
+        cars = [event.vehicle] if event.vehicle in columns.cars else [] if event.vehicle else list(columns.cars)
+        days = np.flatnonzero(np.isin(columns.car_of_day, [columns.cars.index(car) for car in cars]))
+        there = np.array([columns.dates[date] >= event.date for date in columns.date_of_day[days].tolist()], dtype=bool)
+        if not changing or min(len(set(columns.date_of_day[days[side]])) for side in (there, ~there)) < LEAST_DATES:
+            continue
+        before = columns.dates[int(columns.date_of_day[days[~there]].max())]
+        place = Place("step", there.astype(np.float64), event.date, before, float(columns.start[days[there]].min()))
+        who, of = (cars[0], "car") if len(cars) == 1 else ("all", "all")
+        out.append(_scope(who, cast("Of", of), changing, days, (place,), PRIOR_EVENT))
     return out
 
 

@@ -56,7 +56,7 @@ SEASON: Final = 85.0
 """Length of the data from which rolling and constant load may drift with the season. [days]"""
 SEASON_STEP: Final = 45.0
 """Distance of the times between which the drift is interpolated. [days]"""
-SEASON_SPREAD: Final = (0.05, 100.0)
+SEASON_SPREAD: Final = (0.03, 40.0)
 """Standard deviation of the drift of rolling, as a share [1], and of the constant load [W]."""
 LEAST_RANK: Final = 1e-3
 """Variance of a combination of classes of the speed, over the largest one, below which it is left out. [1]"""

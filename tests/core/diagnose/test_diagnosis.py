@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from msgspec.structs import replace as replace_fields
+from socast.core.diagnose.siblings.deviations import keep_declared_values
 
 from socast.core import effects
 from socast.core.diagnose import diagnosis as diagnosing
@@ -18,7 +19,6 @@ from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import LEAST_RIDES, gather_windows
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedModel, Diagnosis, HeldOutRides
-from socast.core.diagnose.siblings.deviations import keep_declared_values
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import compare_predictions, compute_errors_by_condition, select_rides

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.special import logsumexp
+from socast.core.diagnose.siblings.scan import Scan, build_changes
 
 from socast.core.diagnose.findings import (
     SURE,
@@ -16,7 +17,6 @@ from socast.core.diagnose.findings import (
     measure_fleet_use,
     merge_findings,
 )
-from socast.core.diagnose.siblings.scan import Scan, build_changes
 from socast.core.wire.messages import address
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_missing_effect
 from tests.support.findings import USE, make_finding

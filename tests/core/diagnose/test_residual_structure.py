@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.candidates import build_candidates
-from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
 from socast.core.diagnose.residual_structure import (
     FEATURES,

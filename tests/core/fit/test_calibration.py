@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from socast.core.errors import ModelError
 from socast.core.fit.calibration import (
     LEAST_CALIBRATION_RIDES,
+    PRIOR_SCALE,
     QUANTILE_LEVELS,
     HeldOutErrors,
     add_interval,
     calibrate_interval,
+    expect_interval,
 )
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import RECIPES, LinearRecipe, make_term
@@ -116,6 +118,43 @@ def test_model_file_preserves_the_interval_exactly(interval):
 
 def test_too_few_rides_give_no_interval():
     assert add_interval(BASIC_PHYSICAL, heteroscedastic(LEAST_CALIBRATION_RIDES - 1, 1), fitted=False).interval is None
+
+
+def test_no_error_gives_no_expected_interval_and_one_gives_nearly_that_of_the_prior():
+    terms = np.array([[1.0, 1.0, 0.0]])
+    none = HeldOutErrors(np.empty(0), np.empty((0, 3)), np.empty(0))
+    assert expect_interval({"leaf": none}) is None
+    usual = PRIOR_SCALE[0] + PRIOR_SCALE[1]
+    found = expect_interval({"leaf": HeldOutErrors(np.array([usual]), terms, np.array([5.0]))})
+    assert found.scales["leaf"] == pytest.approx(PRIOR_SCALE)
+    assert found.scales[ANY] == pytest.approx(np.multiply(PRIOR_SCALE, 2.0))
+
+
+def test_expected_interval_covers_errors_of_cars_that_err_less_and_more_than_the_prior():
+    random = np.random.default_rng(4)
+    covered = []
+    for rides in (1, 5, 20, 80):
+        for _ in range(300):
+            size = random.uniform(0.2, 4.0, rides + 20)
+            terms = np.column_stack([np.ones(len(size)), size, 0.0 * size])
+            spread = terms @ np.array(PRIOR_SCALE) * np.exp(random.normal(0.0, 0.4))
+            error = spread * random.normal(0.0, np.sqrt(np.pi / 2.0), len(size))
+            found = expect_interval({"leaf": HeldOutErrors(error[:rides], terms[:rides], 10.0 * size[:rides])})
+            low, high = found.get_quantiles(10.0 * size[rides:], 0.9)
+            scale = terms[rides:] @ np.array(found.scales["leaf"])
+            covered.append(np.mean((low * scale <= error[rides:]) & (error[rides:] <= high * scale)))
+    shares = np.array(covered).reshape(4, 300).mean(axis=1)
+    assert ((shares > 0.87) & (shares < 0.95)).all()
+
+
+def test_expected_interval_follows_the_errors_of_many_rides_but_not_a_single_odd_one():
+    terms = np.tile([1.0, 1.0, 0.0], (90, 1))
+    usual = (PRIOR_SCALE[0] + PRIOR_SCALE[1]) * np.ones(90)
+    small, odd = expect_interval({"a": HeldOutErrors(0.3 * usual, terms, usual)}), usual.copy()
+    odd[7] *= 1000.0
+    large = expect_interval({"a": HeldOutErrors(odd, terms, usual)})
+    assert small.scales["a"][1] == pytest.approx(0.34 * PRIOR_SCALE[1], rel=0.02)
+    assert large.scales["a"][1] < 1.1 * PRIOR_SCALE[1]
 
 
 @settings(max_examples=15, deadline=None)

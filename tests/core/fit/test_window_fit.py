@@ -123,10 +123,30 @@ def test_recipe_of_rides_is_refused(tables, name):
         fit_to_windows(name, *tables)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_first_ride_gives_a_model_near_its_prior_with_an_interval(tables, count):
+    rides, windows = tables
+    model = fit_to_windows("road_load", rides.iloc[:count], windows)
+    assert model.fits[ANY].rides == count
+    assert list_implausible(model) == {}
+    assert model.interval.rides == count
+    lower, upper = model.predict_interval(rides, 0.9)
+    assert 0.8 < np.mean((lower <= rides["energy_kwh"]) & (rides["energy_kwh"] <= upper)) <= 1.0
+
+
+def test_vehicle_model_with_two_rides_beside_others_has_no_fit_of_its_own(tables):
+    rides, windows = tables
+    rides = rides.assign(vehicle_model=np.where(rides.index < 2, "new", rides["vehicle_model"]))
+    kinds = windows["ride_key"].map(rides.set_index("ride_key")["vehicle_model"])
+    model = fit_to_windows("road_load", rides, windows.assign(vehicle_model=kinds))
+    assert "new" not in model.fits
+    assert ANY in model.fits
+
+
 def test_too_few_rides_and_missing_columns_are_refused(tables):
     rides, windows = tables
-    with pytest.raises(ModelError, match="recipe road_load: 2 rides to fit to, and it needs 3: give more rides"):
-        fit_to_windows("road_load", rides.iloc[:2], windows)
+    with pytest.raises(ModelError, match="recipe road_load: 0 rides to fit to, and it needs 1: give more rides"):
+        fit_to_windows("road_load", rides.iloc[:0], windows.iloc[:0])
     unfit = rides.assign(fit_for_training=False, unfit_reason="too_little_distance").iloc[:24]
     with pytest.raises(ModelError, match=r"24 rides, all unfit \(24 too little distance\).* if no speed"):
         fit_to_windows("road_load", unfit, windows)

@@ -1,12 +1,15 @@
 """Test the recipes that are fitted to windows, and their estimator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from socast.core.errors import ModelError
-from socast.core.fit.recipes import RECIPES, get_recipe
+from socast.core.fit.distortions import DISTORTIONS
+from socast.core.fit.recipes import RECIPES, WINDOW_RECIPES, get_recipe
 from socast.core.fit.sklearn_estimator import RecipeRegressor
 from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from tests.support.synthetic_windows import make_tables, make_windows
@@ -18,8 +21,26 @@ def tables():
 
 
 def test_recipes_beyond_the_paper_of_physical_terms_are_fitted_to_windows():
-    names = [name for name, recipe in RECIPES.items() if isinstance(recipe, WindowRecipe)]
-    assert names == ["road_load", "road_load_constant"]
+    names = tuple(name for name, recipe in RECIPES.items() if isinstance(recipe, WindowRecipe))
+    assert names == WINDOW_RECIPES == ("road_load", "road_load_constant", "road_load_full", "road_load_full_constant")
+
+
+@pytest.mark.parametrize("name", ["road_load", "road_load_constant"])
+def test_full_recipe_has_denser_air_cold_tyres_and_losses_by_torque_besides(name):
+    plain, full = ({term.name for term in get_recipe(each).terms} for each in (name, name.replace("load", "load_full")))
+    assert plain - full == {"aero_drag"}
+    assert full - plain == {"aero_drag_wind", "cold_rolling", "drivetrain_loss_torque"}
+
+
+def test_full_recipe_fits_with_its_own_distortions(tables):
+    rides, windows = tables
+    rng = np.random.default_rng(5)
+    windows = windows.assign(unresolved_braking_kwh=rng.uniform(0.0, 0.01, len(windows)))
+    recipe = get_recipe("road_load_full_constant")
+    usual = replace(recipe, distortions=DISTORTIONS)
+    assert recipe.distortions["unresolved_braking_share"] < DISTORTIONS["unresolved_braking_share"]
+    assert list(recipe.distortions) == list(DISTORTIONS)
+    assert recipe.fit(rides, windows).fits != usual.fit(rides, windows).fits
 
 
 def test_bound_recipe_keeps_only_the_columns_that_it_reads(tables):

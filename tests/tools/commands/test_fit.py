@@ -61,6 +61,21 @@ def test_every_recipe_of_paper_is_fitted_and_predicts(name, folder, table, tmp_p
         assert key in printed or key == ANY
 
 
+def test_fit_to_windows_says_which_numbers_the_rides_determine(tmp_path, capsys):
+    rides, windows = make_tables(make_windows(1, 4, 3, 6), noise=0.02)
+    rides.to_parquet(tmp_path / "rides.parquet")
+    windows.to_parquet(tmp_path / "windows.parquet")
+    fitted(tmp_path, "road_load", tmp_path / "model.json", "--json", tmp_path / "report.json")
+    printed = " ".join(capsys.readouterr().out.split())
+    told = json.loads((tmp_path / "report.json").read_text())["fits"]["kia-soul-ev-2015"]["determined"]
+    rest = [each for each in told if not each["determined"]]
+    assert f"kia-soul-ev-2015: the rides determine {len(told) - len(rest)} of {len(told)} numbers" in printed
+    assert "any other (*): the rides determine" not in printed
+    for each in rest:
+        assert f"{each['name']} {100 * each['sd_over_prior']:.0f} %" in printed
+        assert each["drives"] is None or f"of 30 min {each['drive']}" in printed
+
+
 def test_fit_takes_a_recording_and_cleans_it_as_tables_does(tmp_path):
     recording, cleaning = tmp_path / "shift.mcap", ("--least-distance-km", 0.1)
     with McapSink(recording) as sink:

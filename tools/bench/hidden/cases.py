@@ -17,7 +17,6 @@ from socast.tools.bench.hidden.drives import (
 )
 from socast.tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
 from socast.tools.simulator.hidden_shapes import strip_shape
-from socast.tools.simulator.right_names import RIGHT_NAMES, get_right_names  # noqa: F401 - read from here by the benchmark
 from socast.tools.simulator.settings import Hidden
 
 Weather = Literal["none", "noisy"]

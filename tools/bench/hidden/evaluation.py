@@ -18,10 +18,11 @@ from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, Columns
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.hidden.baselines import build_columns, fit_stlsq, rank_by_baselines
-from socast.tools.bench.hidden.cases import Case, get_right_names
+from socast.tools.bench.hidden.cases import Case
 from socast.tools.bench.hidden.grading import Record, grade_names
 from socast.tools.bench.hidden.recording import Tables
 from socast.tools.bench.hidden.visibility import measure_visibility, project_products
+from socast.tools.simulator.right_names import get_right_names
 
 Diagnose = Callable[..., dict[str, Any]]
 

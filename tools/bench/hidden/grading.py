@@ -5,7 +5,8 @@ from typing import Any, Final
 
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
 
-from socast.tools.bench.hidden.cases import Case, get_right_names
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.simulator.right_names import get_right_names
 
 Record = dict[str, Any]
 Effects = Sequence[tuple[str, float]]

@@ -8,7 +8,6 @@ import numpy as np
 
 from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.hidden.baselines import DESCRIPTIONS
-from socast.tools.bench.hidden.cases import get_right_names
 from socast.tools.bench.hidden.figures import (
     LEAST,
     compute_error_reduction,
@@ -30,6 +29,7 @@ from socast.tools.bench.hidden.reliability import FILE, tabulate_reliability
 from socast.tools.bench.hidden.visibility import RATIO
 from socast.tools.simulator.bent_shapes import BENT
 from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
+from socast.tools.simulator.right_names import get_right_names
 
 _VALUES: Final = {
     "V·I, 1.5 % or more, all: truth first": "vi",

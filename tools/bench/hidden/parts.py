@@ -8,11 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from socast.tools.bench.hidden.cases import BARE, Case, Weather, get_right_names
+from socast.tools.bench.hidden.cases import BARE, Case, Weather
 from socast.tools.bench.hidden.recording import Measurement
 from socast.tools.simulator.bent_shapes import BENT
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
+from socast.tools.simulator.right_names import get_right_names
 from socast.tools.simulator.settings import Hidden
 
 SHARES: Final = (0.0075, 0.015, 0.03, 0.06)

@@ -18,7 +18,8 @@ from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.block_sums import build_design
 from socast.core.models import Term
 from socast.core.models.features import Columns
-from socast.tools.bench.hidden.cases import Case, get_right_names
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.simulator.right_names import get_right_names
 
 RATIO: Final = 20.0
 """Likelihood ratio from which on the true energy of an effect is distinct from every other effect."""

@@ -7,10 +7,8 @@ from math import log
 
 import numpy as np
 import pytest
-
 from socast.core.diagnose.posterior.causes import CauseEvidence, SelectedForm
 from socast.core.diagnose.posterior.probabilities import CALIBRATION, NONE, SEVERAL, UNKNOWN, compute_probabilities
-from socast.tools.bench.hidden import calibration_data
 from socast.tools.bench.hidden.calibration import (
     LEAST_LOG,
     WEIGHTS,
@@ -31,6 +29,8 @@ from socast.tools.bench.hidden.calibration_data import (
     label_evidence,
     make_seed_records,
 )
+
+from socast.tools.bench.hidden import calibration_data
 from socast.tools.bench.hidden.cases import Case
 from socast.tools.bench.hidden.parts import ABSORBED
 from socast.tools.simulator.bent_shapes import BENT

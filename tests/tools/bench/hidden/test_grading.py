@@ -1,8 +1,8 @@
 """Names and credible sets are graded against what is hidden."""
 
 import pytest
-
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+
 from socast.tools.bench.hidden.cases import Case, get_right_names
 from socast.tools.bench.hidden.grading import grade_names, list_credible_sets, list_truths
 from socast.tools.simulator.settings import Hidden
