@@ -38,7 +38,9 @@ DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingP
         "cars": draw_deviations,
         "causes": lambda result: draw_causes(
             result.causes,
-            title=f"Effects that would explain the same as {result.verdict}" if result.verdict else "What may be missing",
+            title=f"Effects that would explain the same as {result.verdict}"
+            if result.verdict
+            else "What may be missing",
         ),
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
