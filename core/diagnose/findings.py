@@ -191,9 +191,10 @@ def _measure_missing(one: NamedEffect, use: FleetUse) -> _Measured:
     share, value = _get_number(one.energy_share), _get_number(one.coefficient.value)
     limits = one.coefficient.ci95 or (float("nan"), float("nan"))
     ends = [share * end / value if value else float("nan") for end in limits]
+    who = scopes[0] if scopes else ALL
     return _Measured(
-        scopes[0] if scopes else ALL,
-        f"the model lacks {one.effect}: {one.words}",
+        who,
+        f"{one.effect} is missing in {'all cars' if who == ALL else who}: {one.words}",
         share,
         min(ends),
         max(ends),
