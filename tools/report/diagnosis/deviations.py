@@ -13,6 +13,7 @@ from socast.core.diagnose.deviation_words import (
     word_deviation,
 )
 from socast.core.diagnose.records import CarDeviation, Diagnosis, RankedCar
+from socast.core.formatting import format_minus
 from socast.tools.report.cells import format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 
@@ -74,7 +75,7 @@ def describe_deviation(one: CarDeviation) -> list[str]:
             f"{per_month:+.3g} kWh per month" if is_rate_known(one) else f"{per_month / MONTH:+.3g} kWh a day"
         )
     if amounts:
-        lines.append(f"- {', '.join(amounts)} of the rides that were diagnosed")
+        lines.append(format_minus(f"- {', '.join(amounts)} of the rides that were diagnosed"))
     if len(causes) > 1:
         remedies = dict.fromkeys(cause.shown_by for cause in causes[:SEVERAL] if cause.shown_by)
         lines += [f"- to distinguish the causes, record {remedy}" for remedy in remedies]
