@@ -123,11 +123,11 @@ def test_advice_agrees_with_the_probabilities(first, chance, structure, advice):
         ({"none": 0.97}, "No effect of the library is missing in all cars (97 %)."),
         (
             {"none": 0.9, "payload": 0.1},
-            "No effect of the library is missing in all cars (90 %); the most probable ones are payload 10 %.",
+            "No effect of the library is missing in all cars (90 %); the most probable: payload 10 %.",
         ),
         (
             {"payload": 0.45, "none": 0.36, "snow": 0.35},
-            "No effect is probable enough to be named in all cars; the most probable ones are payload 45 %, snow 35 %.",
+            "No effect is probable enough to be named in all cars; the most probable: payload 45 %, snow 35 %.",
         ),
         (
             {"payload": 0.95, "none": 0.05},

@@ -283,10 +283,10 @@ def _describe_none(result: Diagnosis) -> list[str]:
     first = result.causes[0]
     if first.effect == NONE:
         line = f"No effect of the library is missing{_word_cars(result)} ({format_percent(first.probability, 0)})"
-        return [f"{line}; the most probable ones are {others}." if others else f"{line}."]
+        return [f"{line}; the most probable: {others}." if others else f"{line}."]
     if (first.probability or 0.0) >= LEAST_NAMED:
         return [f"No effect is named{_word_cars(result)}: what may be missing is too small to count ({others})."]
-    return [f"No effect is probable enough to be named{_word_cars(result)}; the most probable ones are {others}."]
+    return [f"No effect is probable enough to be named{_word_cars(result)}; the most probable: {others}."]
 
 
 def describe_competition(result: Diagnosis) -> list[str]:
