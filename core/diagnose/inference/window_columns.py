@@ -30,10 +30,11 @@ from socast.core.stats.random_effects import number_units
 
 SHAPES: Final = ("rolling", "constant", "drag", "inertia")
 """Loads by which rides, days, cars and dates differ at random."""
-CAR_DIRECTIONS: Final = ("climate", "braking", "climbing")
+CAR_DIRECTIONS: Final = ("heating", "cooling", "braking", "climbing")
 """Further loads by which cars differ."""
-USUAL_SPREADS: Final = (0.05, 30.0, 0.05, 0.03, 0.1, 0.1, 0.05)
-"""Usual standard deviations of the shapes and directions: shares [1]; of the constant load, a power [W]."""
+USUAL_SPREADS: Final = (0.05, 30.0, 0.05, 0.03, 10.0, 10.0, 0.1, 0.05)
+"""Usual standard deviations of the shapes and directions: shares [1]; of the constant load, a power [W]; of heating and
+cooling, a power per kelvin [W/K]."""
 POWERTRAIN: Final = 1.25, 1.2
 """Energy at the battery over that at the wheels, of rolling and of drag, by the priors of the road load. [1]"""
 FORM_ERROR: Final = 0.15
@@ -88,7 +89,7 @@ class WindowColumns:
     ----------
     residual : (n,) float
         Measured energy less what the prior means of the base explain. [kWh]
-    shapes, directions : (n, 4), (n, 3) float
+    shapes, directions : (n, 4), (n, 4) float
         Energy of each shape and direction at its usual spread. [kWh]
     base : (n, b) float
         Terms whose coefficients differ between vehicle models.
@@ -206,9 +207,11 @@ def _hours(table: pd.DataFrame) -> Floats:
 
 
 def _gather_loads(table: pd.DataFrame) -> Floats:
-    """Return the energy of each shape and direction, of a constant load per watt, (n, 7). [kWh]"""
+    """Return the energy of each shape and direction, of some per watt or per watt and kelvin, (n, 8). [kWh]"""
     rolling, drag = _compute_motion(table)
-    others = [_read(table, f"effect_{name}") for name in ("inertia", "accessories", "braking", "climbing")]
+    others = [
+        _read(table, f"effect_{name}") for name in ("inertia", "cabin_heating", "cabin_cooling", "braking", "climbing")
+    ]
     return np.column_stack([rolling, _hours(table), drag, *others])
 
 
