@@ -6,9 +6,15 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations
-from socast.tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
+from socast.tools.report.diagnosis.deviations import (
+    DIRECTIONS,
+    describe_deviation,
+    describe_deviations,
+    describe_spread,
+)
 from socast.tools.report.diagnosis.page import print_step
 from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 from socast.tools.terminal.ride_source import RideSource
@@ -141,6 +147,10 @@ def test_many_causes_are_counted():
 def test_small_or_uncertain_deviation_of_a_car_is_not_described():
     assert describe_spread(make_ranked_car("taxi-1", 0.01)) == ""
     assert describe_spread(make_ranked_car("taxi-1", 0.03)).startswith("taxi-1 rolls harder than its siblings by 1.2")
+
+
+def test_every_direction_in_which_cars_differ_has_words():
+    assert set(DIRECTIONS) == {*SHAPES, *CAR_DIRECTIONS}
 
 
 def test_nothing_found_is_said():

@@ -30,7 +30,8 @@ DIRECTIONS: Final = {
     "drag": ("has more drag", "has less drag"),
     "constant": ("uses more standby power", "uses less standby power"),
     "inertia": ("uses more for acceleration", "uses less for acceleration"),
-    "climate": ("uses more for heating and cooling", "uses less for heating and cooling"),
+    "heating": ("uses more for heating", "uses less for heating"),
+    "cooling": ("uses more for cooling", "uses less for cooling"),
     "climbing": ("uses more uphill", "uses less uphill"),
     "braking": ("recovers less when braking", "recovers more when braking"),
 }
