@@ -29,7 +29,10 @@ def test_change_is_stated_with_size_date_and_causes():
     )
     assert sure == "- real with a probability of more than 99.9 %"
     assert amounts == "- +6.2 Wh/km, +12.1 kWh per month of the rides that were diagnosed"
-    assert remedies == ["- to distinguish the causes, record drives with loads that differ"]
+    assert remedies == [
+        "- to distinguish the causes, record drives with loads that differ",
+        "- if it is low tyre pressure: soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010",
+    ]
 
 
 def test_ramp_is_stated_as_a_rate():
@@ -96,11 +99,19 @@ def test_change_follows_the_effect_that_is_missing_everywhere():
     assert any(line.startswith("Then test the finding") for line in describe_next_step(result))
 
 
-def test_change_whose_net_energy_may_be_zero_is_stated_by_its_most_probable_cause():
+def test_headline_says_what_the_size_of_a_change_means():
+    several = describe_verdict(make_change())[0]
+    assert several.endswith(
+        "If it is low tyre pressure: soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010."
+    )
+    causes = [{"effect": "tyre_pressure", "probability": 1.0}]
+    assert describe_verdict(make_change(causes=causes))[0].endswith(
+        "low tyre pressure 100 %. Soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010."
+    )
+
+
+def test_interval_that_contains_zero_is_given_by_its_ends():
     result = make_change(share_ci95=[-0.01, 0.05])
-    first, size, *_ = describe_verdict(result)
-    assert first.startswith("Finding: taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since 14 November 2018")
-    assert size.startswith("If the cause is low tyre pressure, soft tyres: rolling resistance is higher by 16 ± 5 %")
     assert describe_deviations(result)[0].startswith("taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since")
 
 
@@ -111,8 +122,7 @@ def test_step_of_the_automatic_loop_states_the_change_that_it_adds():
 
 
 def test_change_of_uncertain_size_is_neither_headline_nor_next_step():
-    unsure = {"value": 1.0, "ci95": [-0.5, 2.5], "unit": "1", "plausible": True}
-    result = make_change(share_ci95=[-0.01, 0.05], coefficient=unsure)
+    result = make_change(share_ci95=[-0.01, 0.05])
     assert not any("Finding" in line for line in describe_verdict(result))
     assert describe_next_step(result) == [
         "Record more rides: how much taxi-005 uses more or less is not certain.",

@@ -5,7 +5,6 @@ from typing import Final
 from socast.core.diagnose.deviation_words import (
     MONTH,
     SEVERAL,
-    has_certain_share,
     has_certain_size,
     is_rate_known,
     name_cause,
@@ -80,9 +79,16 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     if len(causes) > 1:
         remedies = dict.fromkeys(cause.shown_by for cause in causes[:SEVERAL] if cause.shown_by)
         lines += [f"- to distinguish the causes, record {remedy}" for remedy in remedies]
-    if one.words and (len(causes) == 1 or not has_certain_share(one)):
-        lines.append(f"- {one.words}" if len(causes) == 1 else f"- if it is {name_cause(one.effect)}: {one.words}")
+    if words := _word_cause(one):
+        lines.append(f"- {words}")
     return [*lines, one.command] if one.command else lines
+
+
+def _word_cause(one: CarDeviation) -> str:
+    """Return what the size of the most probable cause means, an empty text where that is unknown."""
+    if not one.words or len(one.causes) < 2:
+        return one.words
+    return f"if it is {name_cause(one.effect)}: {one.words}"
 
 
 def _doubt_cause(one: CarDeviation) -> list[str]:
@@ -95,9 +101,8 @@ def _doubt_cause(one: CarDeviation) -> list[str]:
 
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
-    lines = [f"Finding: {word_deviation(found)}."]
-    if not has_certain_share(found) and found.words:
-        lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
+    words = _word_cause(found)
+    lines = [f"Finding: {word_deviation(found)}.{f' {words[:1].upper()}{words[1:]}.' if words else ''}"]
     lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]
     if sure := _word_probability(found):
         lines.append(f"This finding is {sure}; the probabilities of its causes hold if it is.")
