@@ -23,22 +23,9 @@ CAUSES: Final = {
 """Words for effects whose names read badly in a sentence."""
 
 
-def has_certain_share(one: CarDeviation) -> bool:
-    """Return whether the 95 % interval of the net energy of a deviation, over all its causes, excludes zero."""
-    return _excludes_zero(_get_size(one)[1])
-
-
 def has_certain_size(one: CarDeviation) -> bool:
-    """Return whether the size of a deviation is certain: its net energy, or the coefficient of its most probable cause.
-
-    Notes
-    -----
-    Causes that move energy without taking any, such as wind, widen the interval of the net energy although the change
-    is real. The coefficient of the most probable cause is then the size, if it is plausible.
-    """
-    chances = [cause.probability or 0.0 for cause in one.causes]
-    by_coefficient = one.coefficient.plausible and _excludes_zero(one.coefficient.ci95)
-    return has_certain_share(one) or (by_coefficient and chances[:1] == [max(chances, default=0.0)])
+    """Return whether the 95 % interval of the net energy of a deviation excludes zero."""
+    return _excludes_zero(_get_size(one)[1])
 
 
 def _excludes_zero(limits: ConfidenceInterval | None) -> bool:

@@ -55,7 +55,7 @@ from socast.core.diagnose.records import (
 )
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
-from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, select_missing
+from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, list_scoped, select_missing
 from socast.core.diagnose.slices.search import find_slices
 from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
@@ -166,10 +166,10 @@ def _diagnose(
     selection = select_missing(base, inference, clusters, seed, least_gain)
     missing = selection.effects
     report(0.8, "searching the remaining error")
-    remains = residual_structure.measure_residual_structure(selection)
+    named = selection.keep((*missing, *list_scoped(inference, dated=dated)))
+    remains = residual_structure.measure_residual_structure(named)
     unknown = set(remains.signs) - {"better"}
-    left = selection.compute_residual(selection.build_basis())
-    suggested = _suggest(selection, left) if unknown else None
+    suggested = _suggest(named, named.compute_residual(named.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     report(0.9, "searching for slices")
     error = seen.by_ride(seen.predicted - seen.measured)
@@ -197,7 +197,7 @@ def _diagnose(
         suggestion=None if suggested is None else suggested.formula,
         suggestion_file=None if suggested is None else suggested.file,
         steps=compute_steps(selection, floor),
-        profiles=profile_residual(selection),
+        profiles=profile_residual(named),
         deviations=describe_deviations(seen, inference, dated=dated),
         cars=rank_cars(inference),
     )
@@ -341,23 +341,33 @@ def _tabulate_candidates(
     """Return all effects that were tested in all cars, the most probable first, then those that were not."""
     rows = []
     expected = {one.effect: one for one in inference.expected}
+    chances = inference.chances | {name: one.probability for name, one in expected.items()}
+    stated = _list_stated(missing, chances)
     for name in candidates.names:
         if name in inference.unidentified or not (name in expected or name in inference.alone):
             rows.append(TestedEffect(effect=name, variant=name, status=NOT_IDENTIFIABLE))
             continue
         if name in expected:
             size = expected[name].size.estimate
-            variant, z, chance = name, size.value / size.error, expected[name].probability
+            variant, z = name, size.value / size.error
         else:
-            (variant, z), chance = inference.alone[name], inference.chances[name]
-        row = TestedEffect(effect=name, variant=variant, z=z, probability=chance)
+            variant, z = inference.alone[name]
+        row = TestedEffect(effect=name, variant=variant, z=z, probability=stated[name])
         column = candidates.columns[:, [candidates.variants.index(variant)]]
-        gain = alone.compute_gain(MissingEffect(variant, column, UNKNOWN_GAIN, chance, {}))
+        gain = alone.compute_gain(MissingEffect(variant, column, UNKNOWN_GAIN, stated[name], {}))
         sign = int(candidates.sign[candidates.variants.index(variant)])
         rows.append(replace(row, gain=gain.value, status=_describe_status(row, sign, missing)))
     rows.sort(key=lambda row: (-(row.probability if row.probability is not None else -1.0), -(row.gain or 0.0)))
     absent = [TestedEffect(effect=name, variant=name, status=why) for name, why in candidates.excluded.items()]
     return rows + absent
+
+
+def _list_stated(missing: Sequence[MissingEffect], chances: Mapping[str, float]) -> dict[str, float]:
+    """Return the probabilities of effects, those of missing ones and of their rivals as their records give them."""
+    stated = dict(chances)
+    for one in missing:
+        stated |= {name: max(stated.get(name, 0.0), share * one.probability) for name, share in one.causes.items()}
+    return stated | {one.effect: one.probability * one.causes.get(one.effect, 1.0) for one in missing}
 
 
 def _describe_status(row: TestedEffect, sign: int, missing: Sequence[MissingEffect]) -> str:

@@ -1,9 +1,8 @@
 """Turn diagnoses of successive nights into findings: proposed, sure, and gone.
 
-A finding is real with a probability: that of a missing effect, or one minus the rate of false discoveries of a
-deviation. From `SURE` on it is sure, if the interval of its share excludes zero, and if the Bayes factor of a deviation
-is so large that no number of repeated diagnoses reaches it often by chance, see `compute_sure_evidence`. It stays sure
-until a diagnosis no longer finds it.
+A finding is real with a probability. From `SURE` on it is sure, if the interval of its share excludes zero, and if the
+Bayes factor of a deviation is so large that no number of repeated diagnoses reaches it often by chance, see
+`compute_sure_evidence`. It stays sure until a diagnosis no longer finds it.
 """
 
 from collections.abc import Sequence
@@ -192,9 +191,10 @@ def _measure_missing(one: NamedEffect, use: FleetUse) -> _Measured:
     share, value = _get_number(one.energy_share), _get_number(one.coefficient.value)
     limits = one.coefficient.ci95 or (float("nan"), float("nan"))
     ends = [share * end / value if value else float("nan") for end in limits]
+    who = scopes[0] if scopes else ALL
     return _Measured(
-        scopes[0] if scopes else ALL,
-        f"the model lacks {one.effect}: {one.words}",
+        who,
+        f"{one.effect} is missing in {'all cars' if who == ALL else who}: {one.words}",
         share,
         min(ends),
         max(ends),

@@ -15,9 +15,9 @@ from socast.core.stats.scores import Estimate
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to explain for the candidate to be identifiable."""
 LEAST_GAIN: Final = 0.002
-"""Share of the squared error that an effect must explain on held-out vehicle-days to be reported."""
+"""Share of the squared error that an effect must explain on held-out vehicle-days to be added."""
 LEVEL: Final = 0.05
-"""Accepted share of false effects among those that are significant."""
+"""p-value below which an effect is added."""
 
 
 @dataclass(frozen=True)

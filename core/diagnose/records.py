@@ -71,7 +71,7 @@ class PartialResidual(ResidualBins, frozen=True):
 
 
 class NamedEffect(Record, frozen=True):
-    """Hold a missing effect, beside those named before it."""
+    """Hold an effect that is missing in all cars, beside the other missing ones."""
 
     effect: str
     variant: Annotated[str, declare("Variant of the effect that fits best.", "effect")] = ""
@@ -92,11 +92,10 @@ class NamedEffect(Record, frozen=True):
     ] = None
     causes: Annotated[
         list[CauseProbability],
-        declare("Effects that explain the same, or `none`, with their probabilities, largest first."),
+        declare("Effects that explain the same, or `none`; their probabilities, the largest first, sum to 1."),
     ] = []
     credible_set: Annotated[list[str], declare("Effects among which the missing one is in nine cases of ten.")] = []
     columns: Annotated[list[str], declare("Columns whose product is its energy per unit of the coefficient.")] = []
-    p: Annotated[float | None, declare("p-value of the coefficient. [1]")] = None
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]")] = None
     words: Annotated[str, declare("Physical meaning of the coefficient.")] = ""
     equivalents: Annotated[list[str], declare("Power, mass and headwind of the same energy.")] = []
@@ -123,9 +122,9 @@ class TestedEffect(Record, frozen=True):
 
     effect: str
     variant: Annotated[str, declare("Variant that fits best.", "effect")] = ""
-    z: Annotated[float | None, declare("Coefficient in standard errors. [1]", "z", "score")] = None
+    z: Annotated[float | None, declare("Coefficient of it alone, in standard errors. [1]", "z", "score")] = None
     probability: Annotated[
-        float | None, declare("Probability that it is missing. [1]", "probability", "whole percent")
+        float | None, declare("Probability that it is missing, whatever else is. [1]", "probability", "whole percent")
     ] = None
     gain: Annotated[float | None, declare("Held-out gain of it alone. [1]", "gain", "fine percent")] = None
     status: Annotated[str, declare("Result of the test.", "result")] = ""
@@ -179,8 +178,8 @@ class ResidualProfile(Record, frozen=True):
     feature: str
     unit: Annotated[str, declare("Unit of `x`, empty for a category.")] = ""
     x: Annotated[list[float | str], declare("Means of bins, or names.")] = []
-    before_w: Annotated[list[float], declare("Without the missing effects. [W]")] = []
-    after_w: Annotated[list[float], declare("With the missing effects. [W]")] = []
+    before_w: Annotated[list[float], declare("Without what is named. [W]")] = []
+    after_w: Annotated[list[float], declare("With what is named. [W]")] = []
     ci95_w: Annotated[list[float | None], declare("Half widths of the 95 % intervals of `after_w`. [W]")] = []
     windows: list[int] = []
     days: Annotated[list[int], declare("Numbers of vehicle-days.")] = []
@@ -201,13 +200,16 @@ class CarDeviation(Record, frozen=True):
     who: str
     of: Annotated[str, declare("`car`, `group` or `all`.")] = "car"
     kind: Annotated[str, declare("`always`, `step` or `ramp`.")] = "always"
-    effect: Annotated[str, declare("First cause.")] = ""
+    effect: Annotated[str, declare("Most probable cause.")] = ""
     causes: Annotated[
-        list[CauseProbability], declare("Causes of the credible set: plausible ones first, then by probability.")
+        list[CauseProbability],
+        declare("Causes of the credible set, if the deviation is real; the most probable first."),
     ] = []
-    q: Annotated[float | None, declare("Rate of false findings up to this one. [1]")] = None
-    z: Annotated[float | None, declare("Largest score in standard errors. [1]")] = None
-    evidence: Annotated[float | None, declare("Logarithm of the Bayes factor. [1]")] = None
+    q: Annotated[float | None, declare("Probability that it is not real. [1]")] = None
+    z: Annotated[float | None, declare("Coefficient of `effect` in standard errors. [1]")] = None
+    evidence: Annotated[float | None, declare("Logarithm of the Bayes factor, averaged over causes and dates. [1]")] = (
+        None
+    )
     tests: Annotated[int, declare("Number of tests.")] = 1
     coefficient: EstimatedCoefficient = EstimatedCoefficient()
     words: Annotated[str, declare("Physical meaning of the coefficient.")] = ""
@@ -241,8 +243,8 @@ class RankedCar(Record, frozen=True):
 
     car: str
     siblings: int = 0
-    evidence: Annotated[float | None, declare("Largest logarithm of a Bayes factor. [1]")] = None
-    share: Annotated[float | None, declare("Energy beyond that of the siblings. [1]")] = None
+    evidence: Annotated[float | None, declare("Logarithm of the Bayes factor for a deviation. [1]")] = None
+    share: Annotated[float | None, declare("Energy beyond that of the siblings, by its random effects. [1]")] = None
     share_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `share`. [1]")] = None
     share_spread: Annotated[float | None, declare("Standard deviation of `share` between cars. [1]")] = None
     spreads: list[DirectionSpread] = []
@@ -307,18 +309,18 @@ class ErrorLocation(Record, frozen=True):
 
 
 class RemainingStructure(Record, frozen=True):
-    """Hold how much of the error can be predicted before and after the missing effects."""
+    """Hold how much of the error can be predicted before and after what is named, in all cars and in some."""
 
     before: Annotated[float | None, declare("Share of the variance that trees predict on other days. [1]")] = None
-    after: Annotated[float | None, declare("The same after the missing effects. [1]")] = None
+    after: Annotated[float | None, declare("The same after what is named. [1]")] = None
     after_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `after`. [1]")] = None
-    taken: Annotated[float | None, declare("Share of the predictable part that the effects explain. [1]")] = None
-    least: Annotated[float | None, declare("Share that they must explain to explain it all. [1]")] = None
+    taken: Annotated[float | None, declare("Share of the predictable part that this explains. [1]")] = None
+    least: Annotated[float | None, declare("Share that it must explain to explain it all. [1]")] = None
     shape: Annotated[str | None, declare("Plain pattern that remains.")] = None
     q: Annotated[float | None, declare("Rate of false patterns up to this one. [1]")] = None
     shape_taken: Annotated[float | None, declare("Held-out share of the error that the pattern explains. [1]")] = None
     shape_taken_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `shape_taken`. [1]")] = None
-    better: Annotated[dict[str, str], declare("Missing effect -> pattern that explains more than it does.")] = {}
+    better: Annotated[dict[str, str], declare("Named effect -> pattern that explains more than it does.")] = {}
     signs: Annotated[list[str], declare("Evidence of structure: `trees`, `shape`, `better`, `days`.")] = []
     days: Annotated[float | None, declare("Variance between vehicle-days over that by chance. [1]")] = None
     most_days: Annotated[float | None, declare("Largest `days` that chance explains. [1]")] = None
@@ -381,16 +383,23 @@ class Diagnosis(Record, frozen=True):
     error_location: ErrorLocation = ErrorLocation()
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
     biased_bins: Annotated[list[BiasedBin], declare("Bins whose bias differs from zero, the largest first.")] = []
-    missing: Annotated[list[NamedEffect], declare("Missing effects, best first, each beside those before.")] = []
+    missing: Annotated[
+        list[NamedEffect], declare("Effects missing in all cars, plausible ones first, then by gain.")
+    ] = []
     tested: Annotated[list[TestedEffect], declare("All effects, the most probable first.")] = field(
         name="candidates", default_factory=list
     )
     verdict: Annotated[str | None, declare("The effect to add first, if any.")] = None
     causes: Annotated[
-        list[CauseProbability], declare("Causes of what the first missing effect explains, or `none`.")
+        list[CauseProbability],
+        declare(
+            "Effects that explain what the first missing one does, or `none`; without one, those that may be missing."
+        ),
     ] = []
     credible_set: Annotated[list[str], declare("Causes among which the missing one is in nine cases of ten.")] = []
-    further: Annotated[list[CauseProbability], declare("Causes of what the missing effects leave.")] = []
+    further: Annotated[
+        list[CauseProbability], declare("Effects that may be missing beside the named ones, or `none`.")
+    ] = []
     further_credible_set: list[str] = []
     structure_remains: Annotated[bool, declare("Whether the remaining error can be predicted.")] = False
     structure: RemainingStructure = RemainingStructure()
@@ -399,13 +408,13 @@ class Diagnosis(Record, frozen=True):
     steps: Annotated[list[ErrorAfterEffect], declare("How the error falls, effect by effect.")] = []
     profiles: Annotated[list[ResidualProfile], declare("Mean residual along each feature.")] = []
     deviations: Annotated[list[CarDeviation], declare("Cars and groups that deviate or changed.")] = []
-    cars: Annotated[list[RankedCar], declare("All cars, the one with most evidence first.")] = []
+    cars: Annotated[list[RankedCar], declare("All cars, the one that deviates most first.")] = []
     headline: Annotated[list[str], declare("Sentences with which the report begins.")] = []
     next_step: Annotated[list[str], declare("What to do next, with commands.")] = []
 
     @property
     def leading(self) -> NamedEffect | None:
-        """The missing effect that the verdict names, if any."""
+        """The missing effect that the verdict names, if any; `find_leading` tells whether a deviation comes first."""
         return next((one for one in self.missing if one.effect == self.verdict), None)
 
     @property

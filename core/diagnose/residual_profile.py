@@ -26,7 +26,7 @@ WH: Final = 1000.0
 
 
 def profile_residual(selection: Selection) -> list[ResidualProfile]:
-    """Return the mean residual power along each feature and by each category, without and with the missing effects."""
+    """Return the mean residual power along each feature and by each category, without and with what is named."""
     base, seen = selection.base, selection.base.windows
     hours = get_numbers(seen.table, "duration_s") / 3600.0
     series = selection.compute_residual(selection.build_basis()), base.residual

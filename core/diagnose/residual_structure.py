@@ -135,7 +135,7 @@ class ResidualStructure(NamedTuple):
 
 
 def measure_residual_structure(selection: Selection) -> ResidualStructure:
-    """Return the structure that remains after the missing effects."""
+    """Return the structure that remains after what is named."""
     base, clusters, missing = selection.base, selection.clusters, selection.effects
     off = selection.build_basis()
     left = selection.compute_residual(off)

@@ -161,6 +161,15 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
     return found
 
 
+def list_scoped(inference: Inference, *, dated: bool = True) -> list[MissingEffect]:
+    """Return what was found within scopes: in single cars, in groups, or, where the dates are known, since a date."""
+    return [
+        MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
+        for one in inference.findings
+        if one.is_likely and one.family.is_scoped and (dated or one.when.since is None)
+    ]
+
+
 def _is_large(effect: str, size: Estimate) -> bool:
     """Return whether a coefficient reaches its plausible range, by absolute value."""
     least = min(abs(limit) for limit in _range(effect))

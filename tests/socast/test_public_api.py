@@ -152,7 +152,7 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
         assert "<table>" in result._repr_html_()
         assert_axes_are_titled(result.plot())
     assert diagnosis.headline
-    assert diagnosis.next_step[0] == "Add headwind, in all vehicles on all dates."
+    assert diagnosis.next_step[0] == "Add headwind in all cars."
     before, after = compared.errors["mae_kwh"]
     assert after < before
     assert compared.worst_rides["model"].tolist() == ["before"] * 10 + ["with"] * 10

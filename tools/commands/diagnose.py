@@ -15,9 +15,9 @@ from socast.core import effects, models
 from socast.core.diagnose.add import add
 from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.diagnose.add.terms import build_term_columns
-from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from socast.core.diagnose.inference.groups import read_groups
+from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.effects import ROAD_LOAD
@@ -293,7 +293,7 @@ def _auto(
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final, dated=dated)
         page.print_step(result, step, console)
-        entry = result.leading or find_leading_deviation([one for one in result.deviations if one.columns])
+        entry = find_addable(result)
         if entry is None:
             break
         name, scope = parse_term(entry)

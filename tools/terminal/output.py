@@ -26,7 +26,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "cluster": 1,
     "compare": 2,
     "demo": 1,
-    "diagnose": 4,
+    "diagnose": 5,
     "effect": 1,
     "effects": 1,
     "elevation": 1,

@@ -265,7 +265,7 @@ class AdditionEvidence(NamedTuple):
 def assess_addition(
     change: TermAddition, base: BaseProjection, *, sign: int, limits: tuple[float, float], seed: int
 ) -> AdditionEvidence:
-    """Return the evidence in rows for a term that a model lacks, by the test of `forward_selection`."""
+    """Return the p-value and the held-out gain, in rows, of a term that a model lacks."""
     windows = base.windows
     rows = windows.table
     with limit_to_one_thread():

@@ -333,10 +333,10 @@ def test_findings_are_kept_and_announced_once(made_up, here, capsys):
     for _ in range(3):
         done("diagnose", here / "tables", "--model", here / "base.json", "--findings", here / "findings.json")
         printed.append(capsys.readouterr().out)
-    assert "Sure (97 %): the model lacks cold_rolling" in printed[0]
+    assert "Sure (97 %): cold_rolling is missing in all cars" in printed[0]
     assert f"socast live --model {here / 'base.json'} --model {here / 'base-cold_rolling.json'}" in printed[0]
     assert "No finding became sure, and none is gone." in printed[1]
-    assert "Gone: the model lacks cold_rolling" in printed[2]
+    assert "Gone: cold_rolling is missing in all cars" in printed[2]
     kept = json.loads((here / "findings.json").read_text())["findings"]
     assert kept[0]["status"] == "gone"
 

@@ -6,9 +6,15 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations
-from socast.tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
+from socast.tools.report.diagnosis.deviations import (
+    DIRECTIONS,
+    describe_deviation,
+    describe_deviations,
+    describe_spread,
+)
 from socast.tools.report.diagnosis.page import print_step
 from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 from socast.tools.terminal.ride_source import RideSource
@@ -16,13 +22,17 @@ from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_
 
 
 def test_change_is_stated_with_size_date_and_causes():
-    first, amounts, *remedies = describe_deviation(make_deviation())
+    first, sure, amounts, *remedies = describe_deviation(make_deviation())
     assert first == (
         "taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): "
         "low tyre pressure 52 %, brake drag 41 %"
     )
+    assert sure == "- real with a probability of more than 99.9 %"
     assert amounts == "- +6.2 Wh/km, +12.1 kWh per month of the rides that were diagnosed"
-    assert remedies == ["- to distinguish the causes, record drives with loads that differ"]
+    assert remedies == [
+        "- to distinguish the causes, record drives with loads that differ",
+        "- if it is low tyre pressure: soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010",
+    ]
 
 
 def test_ramp_is_stated_as_a_rate():
@@ -33,7 +43,7 @@ def test_ramp_is_stated_as_a_rate():
 
 def test_short_ramp_is_stated_by_its_days_and_not_by_months():
     rate = {"share_per_month": 0.02, "share_per_month_ci95": [0.01, 0.03]}
-    first, amounts, *_ = describe_deviation(make_deviation(kind="ramp", days=6.0, **rate))
+    first, _, amounts, *_ = describe_deviation(make_deviation(kind="ramp", days=6.0, **rate))
     assert first.startswith("taxi-005 uses 0.4 ± 0.2 % more after a growth over 6 days, since 14 November 2018")
     assert amounts == "- +6.2 Wh/km, +0.398 kWh a day of the rides that were diagnosed"
     assert "month" not in first + amounts
@@ -45,12 +55,13 @@ def make_implausible(**changes):
     return make_deviation(effect="cold_rolling", coefficient=steep, **changes)
 
 
-def test_implausible_cause_leads_neither_the_changes_nor_the_report():
+def test_implausible_cause_leads_only_where_nothing_else_is_named():
     result = make_empty_diagnosis(deviations=[make_implausible(who="taxi-001"), make_deviation()])
     assert describe_verdict(result)[0].startswith("Finding: taxi-005")
-    alone = describe_verdict(make_empty_diagnosis(deviations=[make_implausible()]))
-    assert not alone[0].startswith("Finding")
-    assert any(line.startswith("Finding: taxi-005") for line in alone)
+    first, doubt, *_ = describe_verdict(make_empty_diagnosis(deviations=[make_implausible()]))
+    assert first.startswith("Finding: taxi-005")
+    assert "does not explain it" in doubt
+    assert describe_verdict(make_diagnosis(deviations=[make_implausible()]))[0].startswith("cold_rolling")
 
 
 def test_cause_of_implausible_size_is_marked():
@@ -66,7 +77,8 @@ def test_less_energy_of_all_cars_is_called_less():
 
 def make_change(**changes):
     """Return a diagnosis that finds no effect but a change."""
-    return make_empty_diagnosis(structure_remains=True, deviations=[make_deviation(**changes)])
+    none = [{"effect": "none", "probability": 0.97}]
+    return make_empty_diagnosis(causes=none, structure_remains=True, deviations=[make_deviation(**changes)])
 
 
 def test_change_is_the_headline_and_its_command_the_next_step():
@@ -74,7 +86,7 @@ def test_change_is_the_headline_and_its_command_the_next_step():
     first, sure, common = describe_verdict(result)[:3]
     assert first.startswith("Finding: taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018")
     assert "probability of more than 99.9 %" in sure
-    assert common.startswith("Effects in all cars at all times: ")
+    assert common.startswith("No effect of the library is missing in all cars (97 %)")
     advice, command = describe_next_step(result)
     assert advice.endswith("add tyre_pressure in taxi-005 since 2018-11-14.")
     assert command == result.deviations[0].command
@@ -82,16 +94,24 @@ def test_change_is_the_headline_and_its_command_the_next_step():
 
 def test_change_follows_the_effect_that_is_missing_everywhere():
     result = make_diagnosis()
-    assert describe_verdict(result)[0].startswith("Effects in all cars at all times: cold_rolling")
+    assert describe_verdict(result)[0].startswith("cold_rolling or air_density is missing in all cars")
     assert any(line.startswith("Finding: taxi-005") for line in describe_verdict(result))
     assert any(line.startswith("Then test the finding") for line in describe_next_step(result))
 
 
-def test_change_whose_net_energy_may_be_zero_is_stated_by_its_most_probable_cause():
+def test_headline_says_what_the_size_of_a_change_means():
+    several = describe_verdict(make_change())[0]
+    assert several.endswith(
+        "If it is low tyre pressure: soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010."
+    )
+    causes = [{"effect": "tyre_pressure", "probability": 1.0}]
+    assert describe_verdict(make_change(causes=causes))[0].endswith(
+        "low tyre pressure 100 %. Soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010."
+    )
+
+
+def test_interval_that_contains_zero_is_given_by_its_ends():
     result = make_change(share_ci95=[-0.01, 0.05])
-    first, size, *_ = describe_verdict(result)
-    assert first.startswith("Finding: taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since 14 November 2018")
-    assert size.startswith("If the cause is low tyre pressure, soft tyres: rolling resistance is higher by 16 ± 5 %")
     assert describe_deviations(result)[0].startswith("taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since")
 
 
@@ -102,10 +122,12 @@ def test_step_of_the_automatic_loop_states_the_change_that_it_adds():
 
 
 def test_change_of_uncertain_size_is_neither_headline_nor_next_step():
-    unsure = {"value": 1.0, "ci95": [-0.5, 2.5], "unit": "1", "plausible": True}
-    result = make_change(share_ci95=[-0.01, 0.05], coefficient=unsure)
+    result = make_change(share_ci95=[-0.01, 0.05])
     assert not any("Finding" in line for line in describe_verdict(result))
-    assert "Write an effect of your own" in describe_next_step(result)[0]
+    assert describe_next_step(result) == [
+        "Record more rides: how much taxi-005 uses more or less is not certain.",
+        *describe_next_step(make_empty_diagnosis())[1:],
+    ]
     assert any("contains zero: record more rides" in line for line in describe_deviations(result))
 
 
@@ -135,6 +157,10 @@ def test_many_causes_are_counted():
 def test_small_or_uncertain_deviation_of_a_car_is_not_described():
     assert describe_spread(make_ranked_car("taxi-1", 0.01)) == ""
     assert describe_spread(make_ranked_car("taxi-1", 0.03)).startswith("taxi-1 rolls harder than its siblings by 1.2")
+
+
+def test_every_direction_in_which_cars_differ_has_words():
+    assert set(DIRECTIONS) == {*SHAPES, *CAR_DIRECTIONS}
 
 
 def test_nothing_found_is_said():

@@ -8,7 +8,6 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
-from socast.core.diagnose.posterior.probabilities import UNKNOWN
 
 from socast.core.diagnose.records import Diagnosis, TestedEffect
 from socast.tools.commands.diagnose import insert_commands, parse_term
@@ -22,7 +21,7 @@ from socast.tools.report.diagnosis.figures import (
     draw_slices,
 )
 from socast.tools.terminal.ride_source import RideSource
-from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
+from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.html_pages import assert_axes_are_titled, read_page
 from tests.support.read_parts import find_read_fields
 
@@ -63,22 +62,22 @@ def test_terminal_shows_all_parts_in_order():
         "not distinguishable from air_density in these data (r = 0.83); to distinguish them, record slow drives over a",
         "equal in energy, on average, to +1.2 m/s of headwind or +180 kg",
         "2. brake_drag: brakes rub with 75 ± 25 N; only for vehicle=taxi-003",
-        "NOT plausible (range 0 to 60 N): it may stand for another cause",
+        "- coefficient 75 N, 95 % interval 50 to 100; NOT plausible (range 0 to 60 N): it may stand for another cause",
         (
             "Mean absolute error with all terms refitted to these rides for each car (in sample; each missing effect "
             "fitted without the days that it is evaluated on): 0.055 -> 0.048 -> 0.046 kWh per ride; measurement noise "
             "0.037 kWh"
         ),
         (
-            "The remaining error has structure. Its cause is not in the library, or too weak to be "
-            "distinguished from other"
+            "Beside what is named, the remaining error has structure. Its cause is not in the library, or too weak to "
+            "be distinguished from other"
         ),
         (
             "boosted trees predict 5.0 % of its variance on held-out days; "
-            "the missing effects explain 58 % of the predictable"
+            "what is named explains 58 % of the predictable"
         ),
         "A term that fits the remaining error: P = (average speed)^2 v",
-        "Try cold_rolling first, in all vehicles on all dates: these data do not tell it from air_density.",
+        "Try cold_rolling first, in all cars: these data do not tell it from air_density.",
     ]
     places = [output.find(part) for part in parts]
     assert -1 not in places, parts[places.index(-1)]
@@ -86,7 +85,8 @@ def test_terminal_shows_all_parts_in_order():
 
 
 def test_diagnosis_without_missing_effect_states_it():
-    output = printed(make_empty_diagnosis())
+    none = [{"effect": "none", "probability": 0.97}]
+    output = printed(make_empty_diagnosis(causes=none))
     assert "No effect of the library is probable enough to be named." in output
     assert "No group of rides by weather, time, speed or vehicle differs from the others" in output
     assert "These rides show no missing effect." in output
@@ -103,29 +103,70 @@ def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
 
 
 @pytest.mark.parametrize(
-    ("first", "structure", "advice"),
+    ("first", "chance", "structure", "advice"),
     [
-        ("none", False, "Most probably, no effect is missing (58 %). More rides would decide it."),
-        (UNKNOWN, False, "no pattern shows what does. Record more rides before you write an effect."),
-        (UNKNOWN, True, "The cause is probably not in the library. Write an effect of your own"),
+        ("none", 0.58, False, "Most probably, no effect is missing (58 %). More rides would decide it."),
+        ("none", 0.97, False, "These rides show no missing effect."),
+        ("payload", 0.45, False, "More rides would decide whether an effect is missing."),
+        ("none", 0.97, True, "No effect of the library is named. Write an effect of your own"),
     ],
 )
-def test_advice_agrees_with_the_probable_cause(first, structure, advice):
-    causes = [{"effect": first, "probability": 0.58}, {"effect": "snow", "probability": 0.42}]
-    empty = make_empty_diagnosis(causes=causes, credible_set=[first, "snow"], structure_remains=structure)
+def test_advice_agrees_with_the_probabilities(first, chance, structure, advice):
+    causes = [{"effect": first, "probability": chance}, {"effect": "snow", "probability": 0.03}]
+    empty = make_empty_diagnosis(causes=causes, credible_set=["none"], structure_remains=structure)
     assert advice in printed(empty)
 
 
-def test_doubtful_effect_is_not_recommended():
-    result = make_diagnosis()
-    assert sentences.find_recommended(result) == result.verdict
-    coefficient = replace(result.leading.coefficient, plausible=False)
-    first = replace(result.leading, coefficient=coefficient, gain_ci95=(-0.1, 0.3))
-    result = replace(result, missing=[first])
-    assert sentences.find_recommended(result) is None
-    text = printed(result)
-    assert f"Do not rely on {first.effect} yet: its coefficient is not plausible and its gain" in text
-    assert f"Add {first.effect}," not in text
+@pytest.mark.parametrize(
+    ("causes", "stated"),
+    [
+        ({"none": 0.97}, "No effect of the library is missing in all cars (97 %)."),
+        (
+            {"none": 0.9, "payload": 0.1},
+            "No effect of the library is missing in all cars (90 %); the most probable: payload 10 %.",
+        ),
+        (
+            {"payload": 0.45, "none": 0.36, "snow": 0.35},
+            "No effect is probable enough to be named in all cars; the most probable: payload 45 %, snow 35 %.",
+        ),
+        (
+            {"payload": 0.95, "none": 0.05},
+            "No effect is named in all cars: what may be missing is too small to count (payload 95 %).",
+        ),
+    ],
+)
+def test_headline_says_how_probable_it_is_that_nothing_is_missing(causes, stated):
+    rows = [{"effect": name, "probability": chance} for name, chance in causes.items()]
+    assert sentences.describe_verdict(make_empty_diagnosis(causes=rows)) == [stated]
+
+
+def make_implausible(**changes):
+    """Return a missing effect whose coefficient is outside its plausible range."""
+    return make_missing_effect(coefficient=make_diagnosis().missing[1].coefficient, **changes)
+
+
+def test_doubtful_effect_is_to_be_tried_and_not_relied_on():
+    result = make_diagnosis(missing=[make_implausible(gain_ci95=[-0.1, 0.3])], deviations=[])
+    advice = sentences.describe_next_step(result)[0]
+    assert advice == (
+        "Try cold_rolling in all cars, and do not rely on it yet: its coefficient is not plausible, so that it may "
+        "stand for another cause and its gain on held-out days is not certain."
+    )
+    assert sentences.find_recommended(result) == "cold_rolling"
+
+
+def test_effect_that_explains_too_little_to_be_added_is_said_to_be_so():
+    result = make_diagnosis(missing=[make_missing_effect(gain=0.001, gain_ci95=[0.0005, 0.0015])])
+    assert (
+        "it explains less than 0.2 % of the error, which socast add asks for" in sentences.describe_next_step(result)[0]
+    )
+
+
+def test_own_effect_is_not_advised_beside_a_named_one():
+    """A term that fits what remains is offered for later."""
+    for result in (make_diagnosis(), make_empty_diagnosis(deviations=[make_deviation()], structure_remains=True)):
+        assert "effect of your own" not in printed(result)
+    assert "Add cold_rolling first, and see whether it is still there." in printed(make_diagnosis())
 
 
 def test_effects_without_a_signal_are_listed():
@@ -147,29 +188,63 @@ def test_effects_without_a_signal_are_listed():
         assert sentence in text, sentence
 
 
-def test_probabilities_of_a_missing_effect_add_up():
-    _, line, *_ = sentences.describe_missing_effect(make_missing_effect())
-    assert line == (
-        "the largest missing effect with a probability of 87 % (alone 84 %, with others 3 %); or else air_density "
-        "10 %, a cause that is not in the library 2 %, several effects of which another is the largest 1 %"
+CERTAIN = {
+    "causes": [{"effect": "cold_rolling", "probability": 1.0}],
+    "credible_set": ["cold_rolling"],
+    "probability": 1,
+}
+RIVALS = [
+    {"effect": name, "probability": p} for name, p in (("cold_rolling", 0.6), ("air_density", 0.35), ("none", 0.05))
+]
+
+
+def test_probability_of_a_missing_effect_is_told_with_those_of_its_rivals():
+    _, line, *_ = sentences.describe_missing_effect(make_missing_effect(causes=RIVALS, probability=0.6))
+    assert line == "missing with a probability of 60 %; or else air_density 35 %, no missing effect 5 %"
+
+
+def test_headline_names_a_missing_effect_with_its_size():
+    (line,) = sentences.describe_verdict(make_diagnosis(missing=[make_missing_effect(**CERTAIN)], deviations=[]))
+    assert line.startswith("cold_rolling is missing in all cars (100 %). Cold tyres: rolling resistance grows by 1.1 ±")
+    assert "plausible" not in line
+
+
+def test_headline_of_one_car_does_not_speak_of_all_cars():
+    one = make_diagnosis(missing=[make_missing_effect(**CERTAIN)], deviations=[], data={"vehicles": 1})
+    assert sentences.describe_verdict(one)[0].startswith("cold_rolling is missing (100 %).")
+
+
+def test_headline_names_all_that_would_explain_the_same_once():
+    rival = make_missing_effect(effect="air_density", variant="", causes=RIVALS, probability=0.35)
+    result = make_diagnosis(missing=[make_missing_effect(causes=RIVALS), rival], deviations=[])
+    (line,) = sentences.describe_verdict(result)
+    assert line.startswith(
+        "cold_rolling or air_density is missing in all cars: these data do not tell them apart (cold_rolling 60 %, "
+        "air_density 35 %). If it is cold_rolling: cold tyres: rolling resistance grows by 1.1 ± 0.2 %"
     )
 
 
-def test_headline_names_every_cause_of_the_credible_set():
-    result = make_diagnosis(deviations=[])
-    first, size = sentences.describe_verdict(result)
-    assert first.startswith(
-        "Probable cause of the error: cold_rolling or air_density; these data do not tell them apart (cold_rolling 84 %"
-    )
-    assert size.startswith("If it is cold_rolling: cold tyres: rolling resistance grows by 1.1 ± 0.2 %")
-    alone = sentences.describe_verdict(replace(result, credible_set=["cold_rolling"]))[0]
-    assert alone.startswith("Probable cause of the error: cold_rolling 84 %")
+def test_headline_counts_effects_beyond_the_third():
+    effects = ("cold_rolling", "headwind", "snow", "payload", "wet_road")
+    missing = [make_missing_effect(**CERTAIN | {"effect": name, "credible_set": [name]}) for name in effects]
+    lines = sentences.describe_verdict(make_diagnosis(missing=missing, deviations=[]))
+    assert [line.split()[0] for line in lines] == ["cold_rolling", "headwind", "snow", "2"]
 
 
-def test_headline_doubts_a_cause_of_implausible_size():
-    leading = replace(make_missing_effect(), coefficient=make_diagnosis().missing[1].coefficient)
-    lines = sentences.describe_verdict(make_diagnosis(missing=[leading], deviations=[]))
-    assert any(line.startswith("If it is cold_rolling") and "NOT plausible" in line for line in lines)
+def test_headline_doubts_an_effect_of_implausible_size():
+    (line,) = sentences.describe_verdict(make_diagnosis(missing=[make_implausible(**CERTAIN)], deviations=[]))
+    assert line.startswith("cold_rolling is missing in all cars (100 %). Cold tyres")
+    assert "NOT plausible (range 0 to 60 N): it may stand for another cause." in line
+
+
+def test_plausible_deviation_comes_before_an_effect_of_implausible_size():
+    result = make_diagnosis(missing=[make_implausible(**CERTAIN)])
+    assert sentences.describe_verdict(result)[0].startswith("Finding: taxi-005")
+    test, then = sentences.describe_next_step(result)[:2]
+    assert test.startswith("Test the finding")
+    assert then.startswith("Then try cold_rolling in all cars, and do not rely on it yet")
+    assert sentences.find_recommended(result) is None
+    assert sentences.title_verdict(result) == "Taxi-005 changed"
 
 
 def test_uncorrelated_rival_is_not_called_indistinguishable():
@@ -178,12 +253,6 @@ def test_uncorrelated_rival_is_not_called_indistinguishable():
     assert line == "or else air_density, which acts in other windows (r = −0.10): more rides would tell"
     (close,) = sentences.describe_rivals(make_missing_effect())
     assert close.startswith("not distinguishable from air_density in these data (r = 0.83)")
-
-
-def test_effect_outside_the_credible_set_is_explained():
-    lines = sentences.describe_verdict(make_diagnosis(verdict="brake_drag", deviations=[]))
-    assert lines[1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
-    assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
 
 
 def test_refit_that_does_not_lower_the_error_is_explained(tmp_path):
@@ -213,7 +282,7 @@ def test_bins_that_compare_marks_are_named_where_no_group_differs():
 def test_signs_of_structure_have_intervals():
     structure = {"signs": ["trees", "shape"], "after": 0.05, "after_ci95": [0.02, 0.08], "shape": "stops * sun"}
     structure |= {"shape_taken": 0.024, "shape_taken_ci95": [0.01, 0.038], "least": 0.8}
-    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure).structure)
+    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure))
     assert "predict 5.0 % (95 % interval 2.0 % to 8.0 %) of its variance" in trees
     assert "explains 2.4 % (95 % interval 1.0 % to 3.8 %) of the squared error" in shape
 
@@ -279,12 +348,11 @@ def test_page_has_every_figure_and_table(tmp_path):
         assert part in text, part
 
 
-def test_page_states_the_probable_cause_once(tmp_path):
-    text = " ".join(page(make_diagnosis(), tmp_path).text)
-    assert text.count("Effects in all cars at all times: cold_rolling or air_density; these data") == 1
-    assert (
-        "Probable cause of what remains after cold_rolling@reference=283.15, brake_drag: no missing effect 80 %" in text
-    )
+def test_page_states_what_is_missing_once(tmp_path):
+    further = [{"effect": "none", "probability": 0.8}, {"effect": "snow", "probability": 0.2}]
+    text = " ".join(page(make_diagnosis(further=further), tmp_path).text)
+    assert text.count("cold_rolling or air_density is missing in all cars: these data do not tell them apart") == 1
+    assert "Beside cold_rolling@reference=283.15, brake_drag, these may be missing: snow 20 %." in text
 
 
 def test_numbers_stay_with_their_units_on_the_page_and_in_the_terminal(tmp_path):

@@ -1,9 +1,9 @@
-"""Draw the probabilities of the causes of an error."""
+"""Draw the probabilities of the effects that explain the same, or of those that may be missing."""
 
 from collections.abc import Sequence
 from typing import Final
 
-from socast.core.diagnose.records import CauseProbability
+from socast.core.diagnose.records import NONE, CauseProbability
 from socast.tools.report.diagnosis.sentences import LEAST_PROBABILITY
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
@@ -13,18 +13,16 @@ ROW: Final = 28
 """Height of a row. [px]"""
 MOST: Final = 12
 """Largest number of bars of effects; the less probable effects share the last one."""
-APART: Final = ("several", "not in the library", "none")
-"""Entries that are no effect of the library, shown below the effects, in grey."""
 
 
 def draw_causes(
     causes: Sequence[CauseProbability], *, key: str = "causes", title: str = "Probable causes"
 ) -> list[Illustration]:
-    """Draw the probability of each cause as a bar: effects first, then `several`, `not in the library` and `none`."""
+    """Draw the probability of each cause as a bar: effects first, then `none`."""
     known = [(one.effect, one.probability) for one in causes]
     rows = sorted(((name, p) for name, p in known if p is not None), key=lambda row: -row[1])
-    named = [row for row in rows if row[0] not in APART]
-    apart = [row for row in rows if row[0] in APART]
+    named = [row for row in rows if row[0] != NONE]
+    apart = [row for row in rows if row[0] == NONE]
     if not rows:
         return []
     named = _merge_improbable(named)
@@ -38,7 +36,7 @@ def draw_causes(
             textposition="outside",
             cliponaxis=False,
         )
-        for name, style, group in (("effect of the library", 2, named), ("other", 0, apart))
+        for name, style, group in (("effect of the library", 2, named), (NONE, 0, apart))
         if group
     ]
     made = make_figure(traces, 100 + ROW * (len(named) + len(apart)))
@@ -46,8 +44,8 @@ def draw_causes(
     made.update_xaxes(title_text="Probability [%]", range=[0.0, 108.0], tickvals=[0, 20, 40, 60, 80, 100])
     made.update_yaxes(title_text="Cause", type="category", autorange="reversed")
     caption = (
-        "Blue: one effect of the library causes the error. Several: more than one effect of the library. Not in the "
-        "library: something else. None: no effect is missing. Others: effects that are less probable than 0.5 %."
+        "Blue: effects of the library. Grey: that no effect is missing. Others: effects that are less probable than "
+        "0.5 %."
     )
     return [Illustration(key, title, caption, made)]
 

@@ -3,6 +3,7 @@
 from typing import Final
 
 from socast.core.diagnose.records import EstimatedCoefficient
+from socast.core.formatting import format_minus
 
 SUPERSCRIPTS: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -31,9 +32,9 @@ def describe_coefficient(coefficient: EstimatedCoefficient) -> str:
     unit = f" {format_unit(coefficient.unit)}".rstrip()
     interval = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
     low, high = coefficient.low, coefficient.high
-    if low is None or high is None:
-        return f"coefficient {value:.3g}{unit}{interval}"
-    expected = f"range {low:g} to {high:g}{unit}"
-    if coefficient.plausible:
-        return f"coefficient {value:.3g}{unit}{interval}; plausible ({expected})"
-    return f"coefficient {value:.3g}{unit}{interval}; NOT plausible ({expected}): it may stand for another cause"
+    words = f"coefficient {value:.3g}{unit}{interval}"
+    if low is not None and high is not None:
+        expected = f"range {low:g} to {high:g}{unit}"
+        doubt = f"NOT plausible ({expected}): it may stand for another cause"
+        words += f"; plausible ({expected})" if coefficient.plausible else f"; {doubt}"
+    return format_minus(words)

@@ -5,7 +5,6 @@ from typing import Final
 from socast.core.diagnose.deviation_words import (
     MONTH,
     SEVERAL,
-    has_certain_share,
     has_certain_size,
     is_rate_known,
     name_cause,
@@ -13,6 +12,7 @@ from socast.core.diagnose.deviation_words import (
     word_deviation,
 )
 from socast.core.diagnose.records import CarDeviation, Diagnosis, RankedCar
+from socast.core.formatting import format_minus
 from socast.tools.report.cells import format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 
@@ -29,7 +29,8 @@ DIRECTIONS: Final = {
     "drag": ("has more drag", "has less drag"),
     "constant": ("uses more standby power", "uses less standby power"),
     "inertia": ("uses more for acceleration", "uses less for acceleration"),
-    "climate": ("uses more for heating and cooling", "uses less for heating and cooling"),
+    "heating": ("uses more for heating", "uses less for heating"),
+    "cooling": ("uses more for cooling", "uses less for cooling"),
     "climbing": ("uses more uphill", "uses less uphill"),
     "braking": ("recovers less when braking", "recovers more when braking"),
 }
@@ -61,6 +62,8 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     """
     causes = one.causes
     lines = [word_deviation(one)]
+    if sure := _word_probability(one):
+        lines.append(f"- {sure}")
     if not has_certain_size(one):
         lines.append("- the interval of its size contains zero: record more rides before you rely on it")
     lines += [f"- {doubt}" for doubt in _doubt_cause(one)]
@@ -72,13 +75,20 @@ def describe_deviation(one: CarDeviation) -> list[str]:
             f"{per_month:+.3g} kWh per month" if is_rate_known(one) else f"{per_month / MONTH:+.3g} kWh a day"
         )
     if amounts:
-        lines.append(f"- {', '.join(amounts)} of the rides that were diagnosed")
+        lines.append(format_minus(f"- {', '.join(amounts)} of the rides that were diagnosed"))
     if len(causes) > 1:
         remedies = dict.fromkeys(cause.shown_by for cause in causes[:SEVERAL] if cause.shown_by)
         lines += [f"- to distinguish the causes, record {remedy}" for remedy in remedies]
-    if one.words and (len(causes) == 1 or not has_certain_share(one)):
-        lines.append(f"- {one.words}" if len(causes) == 1 else f"- if it is {name_cause(one.effect)}: {one.words}")
+    if words := _word_cause(one):
+        lines.append(f"- {words}")
     return [*lines, one.command] if one.command else lines
+
+
+def _word_cause(one: CarDeviation) -> str:
+    """Return what the size of the most probable cause means, an empty text where that is unknown."""
+    if not one.words or len(one.causes) < 2:
+        return one.words
+    return f"if it is {name_cause(one.effect)}: {one.words}"
 
 
 def _doubt_cause(one: CarDeviation) -> list[str]:
@@ -91,32 +101,32 @@ def _doubt_cause(one: CarDeviation) -> list[str]:
 
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
-    q = found.q
-    lines = [f"Finding: {word_deviation(found)}."]
-    if not has_certain_share(found) and found.words:
-        lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
+    words = _word_cause(found)
+    lines = [f"Finding: {word_deviation(found)}.{f' {words[:1].upper()}{words[1:]}.' if words else ''}"]
     lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]
-    if q is not None:
-        sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
-        lines.append(
-            f"This finding is real with a probability of {sure} ; the probabilities of its causes hold if it is."
-        )
+    if sure := _word_probability(found):
+        lines.append(f"This finding is {sure}; the probabilities of its causes hold if it is.")
     return lines
 
 
-def advise_test(found: CarDeviation, then: str = "") -> list[str]:
+def _word_probability(one: CarDeviation) -> str:
+    """Return the probability that a deviation is real, or its bound; an empty text where it is unknown."""
+    if one.q is None:
+        return ""
+    real = 1.0 - one.q
+    bound = f"more than {format_percent(MOST_SURE)}" if real > MOST_SURE else format_percent(real, 0)
+    return f"real with a probability of {bound}"
+
+
+def advise_test(found: CarDeviation) -> list[str]:
     """Return how to test a deviation, with the command where a term can hold it."""
     who, since, effect = name_deviating(found), found.since, found.effect
     when = f" since {since}" if since else ""
-    if not found.columns:
-        what = "a growth" if found.kind == "ramp" else "a group"
-        lines = [
-            f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."
-        ]
-    else:
-        lines = [f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."]
-        lines += [found.command] if found.command else []
-    return [f"{then} {lines[0][0].lower()}{lines[0][1:]}", *lines[1:]] if then else lines
+    if found.columns:
+        line = f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."
+        return [line, found.command] if found.command else [line]
+    what = "a growth" if found.kind == "ramp" else "a group"
+    return [f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."]
 
 
 def describe_spread(car: RankedCar) -> str:

@@ -54,8 +54,8 @@ def advise_looking(result: Diagnosis) -> list[str]:
     if not found:
         return []
     line = (
-        f"First look at the recordings of {_word_when(found[0], result)}: leave these rides out if a "
-        "logger is wrong, or explain them by an effect of your own."
+        f"First look at the recordings of {_word_when(found[0], result)}, and leave these rides out if a logger is "
+        "wrong."
     )
     return [line, found[0].command] if found[0].command else [line]
 

@@ -86,10 +86,10 @@ def draw_effects(result: Diagnosis) -> list[Illustration]:
     made.update_yaxes(title_text="Effect")
     add_reference_line(made, "", 0.0)
     caption = (
-        "Each effect in the presence of those above it, as a share of the error that the terms of the model cannot "
-        "explain. Lines: 95 % intervals."
+        "Each effect beside the others, as a share of the error that the terms of the model cannot explain. "
+        "Lines: 95 % intervals."
     )
-    gains_figure = Illustration("effects", "Missing effects, best first", caption, made)
+    gains_figure = Illustration("effects", "Missing effects, plausible ones first", caption, made)
     return [gains_figure, *draw_coefficients(rows), *draw_partial_residuals(result)]
 
 
@@ -114,8 +114,8 @@ def draw_remainder(result: Diagnosis) -> list[Illustration]:
     """Draw how much of the remaining error can be predicted, and its mean along each feature."""
     part = result.structure
     bars = [
-        ("before the missing effects", part.before),
-        ("after them", part.after),
+        ("before what is named", part.before),
+        ("after it", part.after),
     ]
     known = [(what, PERCENT * max(value, 0.0)) for what, value in bars if value is not None]
     shown = []

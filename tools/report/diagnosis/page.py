@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from socast.core.diagnose.deviation_words import find_leading_deviation
-from socast.core.diagnose.records import Diagnosis
+from socast.core.diagnose.leading import find_addable
+from socast.core.diagnose.records import CarDeviation, Diagnosis
 from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
 from socast.tools.report.diagnosis.cause_figures import draw_causes
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations
@@ -36,7 +36,12 @@ DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingP
         "slices": figures.draw_slices,
         "location": draw_location,
         "cars": draw_deviations,
-        "causes": lambda result: draw_causes(result.causes),
+        "causes": lambda result: draw_causes(
+            result.causes,
+            title=f"Effects that would explain the same as {result.verdict}"
+            if result.verdict
+            else "What may be missing",
+        ),
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
     }
@@ -78,16 +83,15 @@ def print_step(result: Diagnosis, step: int, console: Console) -> None:
     """Print the result of one step of the automatic loop in a few lines."""
     print_heading(f"Step {step}", console)
     print_lines(episodes.describe_leading_episode(result), console)
-    first = result.leading
-    if first is None:
-        found = find_leading_deviation([one for one in result.deviations if one.columns])
-        lines = ["No further effect is missing."] if found is None else deviations.describe_finding(found)
+    first = find_addable(result)
+    if first is None or isinstance(first, CarDeviation):
+        lines = ["No further effect is missing."] if first is None else deviations.describe_finding(first)
         print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
     print_lines([sentences.describe_error(result)[0], f"Missing: {first.name}: {meaning}", *more], console)
     if result.structure_remains:
-        signs = sentences.describe_signs(result.structure)
+        signs = sentences.describe_signs(result)
         print_lines(["The remaining error has further structure:", *signs], console)
 
 

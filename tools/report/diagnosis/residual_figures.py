@@ -38,7 +38,7 @@ WIDEST: Final = 2.0
 ROW: Final = 26
 """Height of a row of names. [px]"""
 CAPTION: Final = (
-    "Filled: without the missing effects. Outlines: with them, with 95 % intervals. All these figures have one scale, "
+    "Filled: without what is named. Outlines: with it, with 95 % intervals. All these figures have one scale, "
     "which an interval may leave. Parentheses: the number of windows. Bins of too few vehicle-days "
     "for an interval are not drawn."
 )
@@ -50,7 +50,7 @@ def draw_profiles(result: Diagnosis) -> list[Illustration]:
     known = [_keep_known_bins(part) for part in result.profiles]
     parts = [part for part in known if len(part.x) > 1]
     limit = _find_limit(parts)
-    return [_draw_profile(part, limit, several=bool(result.missing)) for part in parts]
+    return [_draw_profile(part, limit, several=bool(result.missing or result.deviations)) for part in parts]
 
 
 def _keep_known_bins(part: ResidualProfile) -> ResidualProfile:
@@ -83,8 +83,8 @@ def _draw_profile(part: ResidualProfile, limit: float, *, several: bool) -> Illu
     x = _name_rows(part) if named else [_place(feature, at, size) for at in part.x]
     traces = []
     if several:
-        traces.append(_draw_means("without the missing effects", BEFORE, part, "before_w", x, named=named))
-    name = "with the missing effects" if several else "remaining"
+        traces.append(_draw_means("without what is named", BEFORE, part, "before_w", x, named=named))
+    name = "with what is named" if several else "remaining"
     traces.append(_draw_means(name, AFTER, part, "after_w", x, named=named))
     made = make_figure(traces, 110 + ROW * len(x) if named else 320)
     power = "Measured less predicted [W]"

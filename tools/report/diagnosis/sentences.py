@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
-from socast.core.diagnose.deviation_words import find_leading_deviation
+from socast.core.diagnose.deviation_words import find_leading_deviation, name_deviating
+from socast.core.diagnose.leading import find_leading
+from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import (
     NONE,
     BiasedBin,
@@ -11,7 +13,6 @@ from socast.core.diagnose.records import (
     Diagnosis,
     HeldOutRides,
     NamedEffect,
-    RemainingStructure,
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
@@ -29,6 +30,10 @@ ALIKE = 0.5
 """Least correlation of the energy of two effects that these data are said not to distinguish. [1]"""
 LEAST_SURE = 0.9
 """Probability below which the report does not state without reservation that nothing is missing. [1]"""
+LEAST_NAMED = 0.5
+"""Probability from which an effect is named, if it is large enough. [1]"""
+MOST_NAMED = 3
+"""Number of missing effects above which the headline counts the others."""
 MOST_DATES = 6
 """Number of dates above which only their number, the first and the last one are written out."""
 CAUSE_NAMES = {NONE: "no missing effect"}
@@ -166,7 +171,7 @@ def _describe_bias(bias: float | None) -> str:
 
 def describe_scope(one: NamedEffect) -> str:
     """Return the vehicles and dates for which an effect is missing."""
-    return f"only for {', '.join(one.scope)}" if one.scope else "in all vehicles on all dates"
+    return f"only for {', '.join(one.scope)}" if one.scope else "in all cars"
 
 
 def describe_gain(one: NamedEffect) -> str:
@@ -207,55 +212,96 @@ def describe_causes(causes: Sequence[CauseProbability], most: int = MOST_CAUSES)
 
 
 def describe_verdict(result: Diagnosis) -> list[str]:
-    """Return the sentences with which a report begins: what was found of cars and dates, and the probable causes.
+    """Return the sentences with which a report begins: what is missing in all cars, and what was found of some.
 
     Notes
     -----
-    An episode comes before everything else, because it may be an event that no model should explain. A car, a group or
-    all cars that changed come next where no effect is missing in all cars at all times, unless their cause is not
-    plausible. Those whose interval of the size contains zero are left out.
+    An episode comes before everything else, because it may be an event that no model should explain. What comes next is
+    what `find_leading` returns. Deviations whose interval of the size contains zero are left out.
     """
     found = find_leading_deviation(result.deviations)
     finding = [] if found is None else describe_finding(found)
-    causes = _describe_common_causes(result, everywhere=bool(finding))
+    common = [_describe_named(one, result) for one in _list_named(result)[:MOST_NAMED]] or _describe_none(result)
+    if (more := len(_list_named(result)) - MOST_NAMED) > 0:
+        common.append(f"{more} more: see Missing effects.")
     episode = describe_leading_episode(result)
-    leads = found is not None and found.coefficient.plausible and not result.verdict
-    return [*episode, *finding, *causes] if leads else [*episode, *causes, *finding]
+    leads = found is not None and find_leading(result) is found
+    return [*episode, *finding, *common] if leads else [*episode, *common, *finding]
 
 
-def _describe_common_causes(result: Diagnosis, *, everywhere: bool) -> list[str]:
-    """Return the probable causes in all cars at all times, among which the largest one is, and its size."""
-    causes, verdict = result.causes, result.verdict
-    if not causes:
-        return []
-    first = causes[0].effect
-    of = "Effects in all cars at all times" if everywhere or first == NONE else "Probable cause of the error"
-    credible, chances = [CAUSE_NAMES.get(name, name) for name in result.credible_set], describe_causes(causes)
-    lines = [f"{of}: {chances}."]
-    if len(credible) > 1:
-        either = f"{', '.join(credible[:-1])} or {credible[-1]}"
-        lines = [f"{of}: {either}; these data do not tell them apart ({chances})."]
-    if verdict and credible and verdict not in credible:
-        lines.append(f"Beside {verdict}, which was found next, {credible[0]} is not needed.")
-    if (leading := result.leading) is not None:
-        lines.append(f"If it is {leading.effect}: {_describe_size(leading)}.")
-    return lines
+def title_verdict(result: Diagnosis) -> str:
+    """Return the result in a few words, for a heading."""
+    first = find_leading(result)
+    if isinstance(first, NamedEffect):
+        return name_missing(first, result)
+    if first is None:
+        none = result.causes[0].effect == NONE if result.causes else True
+        return f"No effect is {'missing' if none else 'probable enough to be named'}{_word_cars(result)}"
+    who = name_deviating(first)
+    others = "the others" if first.of == "group" else "its siblings"
+    return f"{who[:1].upper()}{who[1:]} changed" if first.since else f"{who} differs from {others}"
 
 
-def _describe_size(one: NamedEffect) -> str:
-    """Return the size of an effect, where it is missing, and whether such a size is plausible."""
+def name_missing(one: NamedEffect, result: Diagnosis) -> str:
+    """Return which effect is missing with its probability, such as `headwind is missing in all cars (100 %)`."""
+    where = f" for {', '.join(one.scope)}" if one.scope else _word_cars(result)
+    if not one.others:
+        return f"{one.effect} is missing{where} ({format_percent(one.probability, 0)})"
+    *names, last = [one.effect, *one.others]
+    chances = describe_causes([each for each in one.causes if each.effect in one.credible_set])
+    return f"{', '.join(names)} or {last} is missing{where}: these data do not tell them apart ({chances})"
+
+
+def _word_cars(result: Diagnosis) -> str:
+    """Return that something holds in all cars, an empty text where there is one."""
+    return "" if result.data.vehicles == 1 else " in all cars"
+
+
+def _list_named(result: Diagnosis) -> list[NamedEffect]:
+    """Return the missing effects without those that would explain what an earlier one explains."""
+    named: list[NamedEffect] = []
+    for one in result.missing:
+        if not any(one.effect in each.credible_set for each in named):
+            named.append(one)
+    return named
+
+
+def _describe_named(one: NamedEffect, result: Diagnosis) -> str:
+    """Return that an effect is missing, how large it is, and whether such a size is plausible."""
     doubt = "" if one.coefficient.plausible else f"; {describe_coefficient(one.coefficient)}"
-    return f"{one.words or one.name}; {describe_scope(one)}{doubt}"
+    size = f"{one.words}{doubt}".removeprefix("; ")
+    if size:
+        size = f" If it is {one.effect}: {size}." if one.others else f" {size[:1].upper()}{size[1:]}."
+    return f"{name_missing(one, result)}.{size}"
+
+
+def _describe_none(result: Diagnosis) -> list[str]:
+    """Return how probable it is that no effect is missing in all cars, and which effects may be."""
+    others = describe_causes([one for one in result.causes if one.effect != NONE])
+    if not result.causes:
+        return []
+    first = result.causes[0]
+    if first.effect == NONE:
+        line = f"No effect of the library is missing{_word_cars(result)} ({format_percent(first.probability, 0)})"
+        return [f"{line}; the most probable: {others}." if others else f"{line}."]
+    if (first.probability or 0.0) >= LEAST_NAMED:
+        return [f"No effect is named{_word_cars(result)}: what may be missing is too small to count ({others})."]
+    return [f"No effect is probable enough to be named{_word_cars(result)}; the most probable: {others}."]
 
 
 def describe_competition(result: Diagnosis) -> list[str]:
-    """Return what the probabilities of causes are, and the causes of what the missing effects leave."""
+    """Return what the probabilities of effects are, and which effects may be missing beside the named ones."""
     if not result.causes:
         return []
-    lines = ["Each cause has a probability, given these rides and the plausible range of its coefficient."]
-    if result.missing and (further := describe_causes(result.further, 3)):
+    meaning = (
+        "Each effect is judged for itself: its probability is that it is missing, whatever else is, given these rides "
+        "and the plausible range of its coefficient."
+    )
+    lines = [meaning]
+    if result.missing:
         names = ", ".join(one.name for one in result.missing)
-        lines.append(f"Probable cause of what remains after {names}: {further}.")
+        others = describe_causes([one for one in result.further if one.effect != NONE], 3)
+        lines.append(f"Beside {names}, {f'these may be missing: {others}' if others else 'no effect is probable'}.")
     return lines
 
 
@@ -297,25 +343,27 @@ def describe_remainder(result: Diagnosis) -> list[str]:
         if floor is not None and last <= floor and not excessive and not result.structure_remains:
             lines.append("The remaining error does not exceed measurement noise.")
     if result.structure_remains:
+        beside = "Beside what is named, the" if result.missing or result.deviations else "The"
         lines.append(
-            "The remaining error has structure. Its cause is not in the library, or too weak to be distinguished from "
-            "other causes:"
+            f"{beside} remaining error has structure. Its cause is not in the library, or too weak to be distinguished "
+            "from other causes:"
         )
-        lines += describe_signs(result.structure)
+        lines += describe_signs(result)
     elif result.steps:
         complete = ": the data show no further effect" if result.missing else ""
         lines.append(f"The remaining error has no structure that can be predicted{complete}.")
     return lines
 
 
-def describe_signs(structure: RemainingStructure) -> list[str]:
+def describe_signs(result: Diagnosis) -> list[str]:
     """Return the evidence that the remaining error has structure."""
+    structure, is_named = result.structure, bool(result.missing or result.deviations)
     signs, taken = structure.signs, structure.taken
     least = format_percent(structure.least, 0)
     share = (
         ""
-        if taken is None
-        else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
+        if taken is None or not is_named
+        else f"; what is named explains {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
     texts = {
         "trees": f"boosted trees predict {format_percent(structure.after)}{word_interval(structure.after_ci95)} of "
@@ -345,15 +393,17 @@ def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]
     where = (
         f"{file} contains it as an effect to edit. Check it with: socast effects check {file}"
         if file
-        else "Write it to a file to edit with --suggest FILE.py"
+        else "To edit it, write it to a file with --suggest FILE.py"
     )
+    if (first := find_leading(result)) is not None:
+        where = f"Add {first.effect} first, and see whether it is still there. {where}"
     return [f"A term that fits the remaining error: {formula}", where]
 
 
 def find_recommended(result: Diagnosis) -> str | None:
-    """Return the effect to add; None where no effect is missing, or where it is in doubt."""
-    first = result.leading
-    return None if first is None or _list_doubts(first) else first.effect
+    """Return the effect to add in all cars first; None where nothing is missing in them, or a deviation comes first."""
+    first = find_leading(result)
+    return first.effect if isinstance(first, NamedEffect) else None
 
 
 def describe_next_step(result: Diagnosis) -> list[str]:
@@ -362,43 +412,57 @@ def describe_next_step(result: Diagnosis) -> list[str]:
 
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
-    """Return what to do about causes and changes, with the command where there is one."""
+    """Return what to do about missing effects and deviations, in the order of the headline, with their commands."""
     first, found = result.leading, find_leading_deviation(result.deviations)
-    testing = [] if found is None else advise_test(found, then="" if first is None else "Then")
-    if first is None:
-        return testing or [_advise_without_effect(result)]
-    if doubts := _list_doubts(first):
-        why = " and ".join(doubts)
-        lines = [f"Do not rely on {first.effect} yet: {why}. Record more rides. To try it all the same:"]
-    elif first.others:
-        others = " or ".join(CAUSE_NAMES.get(name, name) for name in first.others)
-        lines = [f"Try {first.effect} first, {describe_scope(first)}: these data do not tell it from {others}."]
+    leading = find_leading(result)
+    if leading is None:
+        return [_advise_without_effect(result)]
+    steps = [_advise_adding(first) if first else [], advise_test(found) if found else []]
+    before, after = steps if leading is first else reversed(steps)
+    return [*before, f"Then {after[0][:1].lower()}{after[0][1:]}", *after[1:]] if after else before
+
+
+def _advise_adding(one: NamedEffect) -> list[str]:
+    """Return that an effect is to be added, with what speaks against it, and the command."""
+    where = describe_scope(one)
+    if doubts := _list_doubts(one):
+        line = f"Try {one.effect} {where}, and do not rely on it yet: {' and '.join(doubts)}."
+    elif one.others:
+        line = f"Try {one.effect} first, {where}: these data do not tell it from {' or '.join(one.others)}."
     else:
-        lines = [f"Add {first.effect}, {describe_scope(first)}."]
-    adding = [*lines, first.command] if first.command else [line.split(" To try")[0] for line in lines]
-    return [*adding, *testing]
+        line = f"Add {one.effect} {where}."
+    return [line, one.command] if one.command else [line]
 
 
 def _advise_without_effect(result: Diagnosis) -> str:
-    """Return what to do where no effect is missing in all cars."""
+    """Return what to do where nothing is named, or nothing of certain size."""
+    if result.deviations:
+        who = name_deviating(result.deviations[0])
+        return f"Record more rides: how much {who} use{'' if who == 'all cars' else 's'} more or less is not certain."
+    first = result.causes[0] if result.causes else None
     if result.structure_remains:
         return (
-            "No effect of the library is missing. Write an effect of your own for the structure that remains: socast "
+            "No effect of the library is named. Write an effect of your own for the structure that remains: socast "
             "effects new."
         )
-    chance = result.causes[0].probability if result.causes and result.causes[0].effect == NONE else None
-    if chance is not None and chance < LEAST_SURE:
-        return f"Most probably, no effect is missing ({format_percent(chance, 0)}). More rides would decide it."
+    if first is not None and first.effect != NONE:
+        return "More rides would decide whether an effect is missing."
+    if first is not None and (first.probability or 0.0) < LEAST_SURE:
+        return (
+            f"Most probably, no effect is missing ({format_percent(first.probability, 0)}). More rides would decide it."
+        )
     return "These rides show no missing effect."
 
 
 def _list_doubts(one: NamedEffect) -> list[str]:
-    """Return why an effect should not be added yet."""
+    """Return why an effect may be refused when it is added, or stand for another cause."""
     limits = one.gain_ci95
     doubts = []
     if not one.coefficient.plausible:
-        doubts.append("its coefficient is not plausible")
-    if limits and limits[0] <= 0.0:
+        doubts.append("its coefficient is not plausible, so that it may stand for another cause")
+    if one.gain is not None and one.gain < LEAST_GAIN:
+        doubts.append(f"it explains less than {format_percent(LEAST_GAIN)} of the error, which socast add asks for")
+    elif limits and limits[0] <= 0.0:
         doubts.append("its gain on held-out days is not certain")
     return doubts
 

@@ -15,15 +15,14 @@ BIAS_NOTE: Final = (
     "and those above it."
 )
 MISSING_NOTE: Final = (
-    "Best first, each in the presence of those above it. Gain: reduction of the squared error that the "
-    "terms of the model "
-    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
-    "Probability: that the effect is the largest of the causes, alone or with others. "
-    "Or else: the other causes among which the largest one is with a probability of 90 %."
+    "Plausible ones first, then by gain, each beside the others. Gain: reduction of the squared error that the terms "
+    "of the model cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
+    "Probability: that the effect is missing, whatever else is. Or else: other effects that explain the same; together "
+    "they hold 90 % of the probability."
 )
 CANDIDATES_NOTE: Final = (
-    "Each effect alone before any is added, with the parameter value that fits best. z has the sign that physics "
-    "demands."
+    "z and gain: of each effect alone, with the parameter value that fits best; z has the sign that physics demands. "
+    "Probability: that the effect is missing, whatever else is."
 )
 
 
@@ -33,7 +32,7 @@ def tabulate_slices(result: Diagnosis) -> ReportTable:
 
 
 def tabulate_missing_effects(result: Diagnosis) -> ReportTable:
-    """Return the missing effects, the best first."""
+    """Return the missing effects, plausible ones first."""
     return tabulate_records(
         "Missing effects",
         result.missing,
@@ -46,7 +45,7 @@ def tabulate_missing_effects(result: Diagnosis) -> ReportTable:
 
 
 def tabulate_candidates(result: Diagnosis) -> ReportTable:
-    """Return all candidate effects, as they rank before any is added."""
+    """Return all candidate effects, the most probable first."""
     return tabulate_records(
         "All candidates",
         result.tested,
@@ -75,13 +74,13 @@ def tabulate_errors(result: Diagnosis) -> ReportTable:
 
 
 def tabulate_structure(result: Diagnosis) -> ReportTable:
-    """Return the predictable share of the error before and after the missing effects, and that of a plain pattern."""
+    """Return the predictable share of the error before and after what is named, and that of a plain pattern."""
     part = result.structure
     values = (
-        ("predictable before the missing effects", part.before, None),
-        ("predictable after them", part.after, part.after_ci95),
-        ("explained by them", part.taken, None),
-        ("required for them to explain it all", part.least, None),
+        ("predictable before what is named", part.before, None),
+        ("predictable after it", part.after, part.after_ci95),
+        ("explained by it", part.taken, None),
+        ("required for it to explain all", part.least, None),
         (
             "explained by a plain pattern that remains",
             part.shape_taken if "shape" in part.signs else None,

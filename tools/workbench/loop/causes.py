@@ -1,14 +1,13 @@
 """Records of the page about causes: the candidates with their probabilities, and the trial of an effect."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from socast.core import effects
 from socast.core.diagnose.add.add import AdditionTrial, force_addition
 from socast.core.diagnose.add.records import ADDED, UNDECIDED, EffectAttempt, list_attempts
-from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.partial_residual import compute_candidate_residual
-from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect, TestedEffect
+from socast.core.diagnose.records import NONE, CarDeviation, Diagnosis, NamedEffect
 from socast.core.errors import SocastError
 from socast.tools.commands.add import try_effect
 from socast.tools.commands.diagnose import parse_term
@@ -21,6 +20,7 @@ from socast.tools.report.diagnosis.sentences import (
     describe_remainder,
     describe_verdict,
     find_recommended,
+    title_verdict,
 )
 from socast.tools.workbench.loop.command_lines import add_command, diagnose_command, effect_command, live_command
 from socast.tools.workbench.loop.model_tree import ModelNode
@@ -29,43 +29,40 @@ from socast.tools.workbench.workspace import Report, Workspace
 
 
 def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the candidates of a diagnosis, the most probable first.
+    """Return the candidates of a diagnosis: the missing effects in their order, then the most probable ones.
 
     Returns
     -------
     dict
-        `causes`, each with its probability, whether it is in the credible set, and for an effect its declaration and
-        how it was ranked; the `recommended` effect, None where it is in doubt; who has the leading `finding`, None
-        without one; sentences; the entries of `missing` effects and of `deviations` of cars, with the command that
-        adds each.
+        `causes`, each with the probability that it is missing, whether it is named or explains what a named one does,
+        and for an effect its declaration and how it was ranked; the `recommended` effect, None where none is missing in
+        all cars or a car comes first; the result as a `title` and in sentences; the entries of `missing` effects and of
+        `deviations` of cars, with the command that adds each.
     """
-    ranked = {row.effect: row for row in diagnosis.tested}
-    credible = set(diagnosis.credible_set)
+    order = {one.effect: place for place, one in enumerate(diagnosis.missing)}
+    credible = {name for one in diagnosis.missing for name in one.credible_set}
     tried = {each.effect: each for each in list_attempts(node.model.history) if each.action != ADDED}
     causes = [
         {
-            "name": cause.effect,
-            "probability": cause.probability,
-            "credible": cause.effect in credible,
-            "words": CAUSE_NAMES.get(cause.effect),
-            "tried": _describe_attempt(tried.get(cause.effect)),
-            **_describe_candidate(cause.effect, ranked),
+            "name": row.effect,
+            "probability": row.probability,
+            "credible": row.effect in credible,
+            "words": None,
+            "tried": _describe_attempt(tried.get(row.effect)),
+            "status": row.status,
+            "gain": row.gain,
+            "effect": _describe_declared(row.effect),
         }
-        for cause in diagnosis.causes
+        for row in sorted(diagnosis.tested, key=lambda row: order.get(row.effect, len(order)))
     ]
-    listed = {cause["name"] for cause in causes}
-    causes += [
-        {"name": name, "probability": None, "credible": False, "words": None, **_describe_candidate(name, ranked)}
-        for name in ranked
-        if name not in listed
-    ]
+    title = title_verdict(diagnosis)
     return {
         "model": node.name,
         "error": diagnosis.error.to_json(),
-        "causes": causes,
+        "causes": [*_list_none(diagnosis), *causes],
         "recommended": find_recommended(diagnosis),
-        "finding": None if (found := find_leading_deviation(diagnosis.deviations)) is None else found.who,
-        "verdict_sentences": describe_verdict(diagnosis),
+        "title": title,
+        "verdict_sentences": [rest for line in describe_verdict(diagnosis) if (rest := line.removeprefix(f"{title}."))],
         "next": [line for line in describe_next_step(diagnosis) if not line.startswith("socast ")],
         "remainder": describe_remainder(diagnosis),
         "missing": [_describe_missing(workspace, node, one) for one in diagnosis.missing],
@@ -73,6 +70,15 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Diagnos
         "held_out": diagnosis.data.held_out.to_json(),
         "command": diagnose_command(workspace, node),
     }
+
+
+def _list_none(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Return the entry of no missing effect, where no effect is named."""
+    chances = [cause.probability for cause in diagnosis.causes if cause.effect == NONE]
+    if diagnosis.missing or not chances:
+        return []
+    unknown = dict.fromkeys(("tried", "status", "gain", "effect"))
+    return [{"name": NONE, "probability": chances[0], "credible": True, "words": CAUSE_NAMES[NONE], **unknown}]
 
 
 def describe_effect(workspace: Workspace, node: ModelNode, name: str) -> dict[str, Any]:
@@ -154,14 +160,12 @@ def _describe_attempt(attempt: EffectAttempt | None) -> dict[str, str] | None:
     return {"outcome": attempt.action, "reason": attempt.reason} if attempt else None
 
 
-def _describe_candidate(name: str, ranked: Mapping[str, TestedEffect]) -> dict[str, Any]:
-    """Return how a candidate was ranked, and what its effect declares."""
-    row = ranked.get(name)
-    record: dict[str, Any] = {name: getattr(row, name, None) for name in ("status", "gain", "q")} | {"effect": None}
-    if name in effects.get_library():
-        effect = effects.get(name)
-        record["effect"] = make_effect_record(effect, find_topic(effect))
-    return record
+def _describe_declared(name: str) -> dict[str, Any] | None:
+    """Return what an effect of the library declares; None for another one."""
+    if name not in effects.get_library():
+        return None
+    effect = effects.get(name)
+    return make_effect_record(effect, find_topic(effect))
 
 
 def _describe_missing(workspace: Workspace, node: ModelNode, one: NamedEffect) -> dict[str, Any]:

@@ -62,7 +62,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
   const ownView = mountOwnEffects(own, { context, workspace, changed: redraw });
 
   put(root, 
-    heading("What is missing", "Every effect of the library competes to explain the residual. The probability says how likely each is the largest one that the model lacks.", modelChoice(workspace, state, context)),
+    heading("What is missing", "Every effect of the library is judged for itself. The probability says how likely the model lacks it, whatever else it lacks.", modelChoice(workspace, state, context)),
     el("div", { class: "stack" }, next, step, diagnosis, own, copied),
   );
 
@@ -80,7 +80,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
   function drawVerdict() {
     const lines = record.verdict_sentences;
     put(verdict, 
-      el("h2", {}, record.recommended ? `Most probably missing: ${record.recommended.replaceAll("_", " ")}` : record.finding ? (record.finding === "all" ? "All cars changed" : `A finding about ${record.finding}`) : record.causes[0]?.name === "none" ? "Most probably, no effect is missing" : "No effect is certain enough to be recommended"),
+      el("h2", {}, record.title),
       el("p", {}, lines.join(" ")),
       el("p", {}, record.next.join(" ")),
       record.held_out.rides > 0 && el("p", { class: "note small" }, `${number(record.held_out.rides)} rides of ${record.held_out.dates.length} days are set aside; an added effect is evaluated on them.`),
@@ -105,7 +105,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       }, el("span", {}, nameOf(cause), cause.tried && el("span", { class: "chip warn" }, cause.tried.outcome)), el("span", { class: "track" }, bar), el("span", { class: "value" }, share));
     });
     put(list, 
-      el("p", { class: "note small" }, "Blue: the credible set, which holds the largest cause in nine cases of ten."),
+      el("p", { class: "note small" }, record.missing.length ? "Blue: missing effects, and those that would explain the same." : "Blue: no effect is named."),
       el("div", { class: "bars" }, rows),
       el("button", { type: "button", class: "quiet", "aria-expanded": String(all), onclick: () => { all = !all; drawList(); } }, all ? "Show the likely ones only" : `Show all ${record.causes.length}`),
     );
@@ -149,7 +149,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         el("dl", { class: "facts" },
           fact("formula", el("span", { class: "formula" }, effect.formula)),
           fact("how it works", found.about),
-          fact("coefficient", missing ? `${plain(missing.coefficient.value)} ${unit}, 95 % interval ${plain(missing.coefficient.ci95[0])} to ${plain(missing.coefficient.ci95[1])}; ${missing.coefficient.plausible ? "plausible" : "not plausible"}` : null),
+          fact("coefficient", missing ? `${plain(missing.coefficient.value)} ${unit}, 95 % interval ${plain(missing.coefficient.ci95[0])} to ${plain(missing.coefficient.ci95[1])}; ${missing.coefficient.plausible ? "plausible" : "NOT plausible: it may stand for another cause"}` : null),
           fact("plausible range", `${bare(effect.plausible[0])} to ${bare(effect.plausible[1])} ${unit} (${effect.coefficient})`),
           fact("explains", missing ? `${quantity(100 * missing.gain, "%", 1)} of the squared error on held-out days (95 % interval ${number(100 * missing.gain_ci95[0], 1)} to ${number(100 * missing.gain_ci95[1], 1)}\u202f%)` : null),
           fact("as much as", missing?.equivalents.join(", ")),

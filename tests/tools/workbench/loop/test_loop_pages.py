@@ -85,7 +85,7 @@ def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
     page.locator(".survey button").first.wait_for()
     assert any("Headwind" in text for text in page.locator(".survey button").all_inner_texts()[:3])
     page.get_by_role("link", name="what is missing", exact=True).click()
-    page.get_by_role("heading", name="Most probably missing: headwind").wait_for()
+    page.get_by_role("heading", name="headwind is missing in all cars (100 %)").wait_for()
     page.get_by_role("button", name="Add headwind").click()
     step = page.get_by_role("region", name="Step")
     step.get_by_role("heading", name="headwind was added").wait_for()

@@ -125,6 +125,10 @@ def test_diagnosis_names_the_hidden_effect_once_for_each_model(workspace, base):
     record = causes.describe_causes_of(workspace, base, diagnosis)
     assert record["recommended"] == record["causes"][0]["name"] == "headwind"
     assert record["causes"][0]["credible"]
+    assert record["title"] == "headwind is missing in all cars (100 %)"
+    assert record["verdict_sentences"][0].strip().startswith("The wind meets")
+    chances = [cause["probability"] for cause in record["causes"] if cause["probability"] is not None]
+    assert chances == sorted(chances, reverse=True)
     assert record["missing"][0]["command"].startswith("socast add headwind")
     assert workspace.diagnose(base) is diagnosis
     assert residuals.describe_failures(workspace, base, diagnosis)["location"]["sentences"]
