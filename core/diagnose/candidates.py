@@ -1,12 +1,11 @@
 """Build the candidates of a diagnosis: the effects of the library at each value of their parameters."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from socast.core import effects
 from socast.core.batch import Floats, Ints
@@ -45,10 +44,6 @@ class Candidates:
         Sign of the coefficient that physics demands: 1, -1, or 0 for either.
     columns : (n, k) float
         Energy. [kWh per unit of the coefficient]
-    measured : (n,) float
-        Measured energy of the windows within the scope, 0 for all others. [kWh]
-    scope : tuple of str
-        Indicator columns `vehicle=...` or `since=...`; empty where the effects are tested everywhere.
     excluded : dict of str to str
         Effects that are not candidates, with the reason.
     """
@@ -58,22 +53,11 @@ class Candidates:
     names: tuple[str, ...]
     sign: Ints
     columns: Floats
-    measured: Floats
-    scope: tuple[str, ...]
     excluded: dict[str, str]
-
-    def restrict_to(self, rows: NDArray[np.bool_], scope: tuple[str, ...]) -> "Candidates":
-        """Return the candidates within some windows, (n,) bool."""
-        return replace(self, columns=self.columns * rows[:, np.newaxis], measured=self.measured * rows, scope=scope)
 
     def get_limits(self, at: int) -> tuple[float, float]:
         """Return the smallest and the largest plausible coefficient of a candidate, which include 0."""
         return find_coefficient_limits(self.variants[at], int(self.sign[at]))
-
-    @property
-    def least_coefficients(self) -> Floats:
-        """Coefficient above which each candidate is large enough to report, (k,), see `compute_least_coefficients`."""
-        return compute_least_coefficients(self.columns, self.measured)
 
 
 def find_coefficient_limits(variant: str, sign: int) -> tuple[float, float]:
@@ -94,15 +78,8 @@ def compute_least_coefficients(columns: Floats, measured: Floats) -> Floats:
     return np.divide(LEAST_SHARE * float(measured.sum()), size, out=out, where=size > 0.0)
 
 
-def build_candidates(
-    windows: Windows, model: LinearModel, without: Collection[str] = (), scopes: bool = False
-) -> Candidates:
+def build_candidates(windows: Windows, model: LinearModel, without: Collection[str] = ()) -> Candidates:
     """Return the effects of the library that a model lacks.
-
-    Parameters
-    ----------
-    scopes : bool
-        Whether to include effects that the model has everywhere, because they may be larger within a scope.
 
     Returns
     -------
@@ -110,7 +87,7 @@ def build_candidates(
         All variants that are known in enough windows, and the reasons for which other effects are excluded.
     """
     base = {effect.name for effect in ROAD_LOAD}
-    inside = set() if scopes else {effects.get(name).base for name in model.effects}
+    inside = {effects.get(name).base for name in model.effects}
     excluded: dict[str, str] = {}
     variants: list[tuple[str, str]] = []
     for name, effect in effects.get_library().items():
@@ -134,7 +111,5 @@ def build_candidates(
         names=names,
         sign=np.array([effects.get(name).sign for name, _ in variants], dtype=np.int64),
         columns=np.column_stack(stacked) if stacked else np.empty((len(windows.measured), 0)),
-        measured=windows.measured,
-        scope=(),
         excluded=excluded,
     )

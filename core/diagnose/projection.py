@@ -201,18 +201,6 @@ class BaseProjection:
         left = self._off_cars(self.apply_weights(columns))
         return np.asarray(left - self._common @ (self._common.T @ left))
 
-    def project_out_for_car(self, columns: Floats, car: int) -> Floats:
-        """Return columns at the windows of one car, zero elsewhere, off the columns of this car alone, weighted."""
-        rows = self.cars[car]
-        starts = np.flatnonzero(np.r_[True, np.diff(self.windows.ride[rows]) != 0])
-        scaled = columns * np.sqrt(self.weight[rows])[:, np.newaxis]
-        count = np.diff(np.r_[starts, len(rows)]).astype(np.float64)
-        more = 1.0 / np.sqrt(self._of_mean(count)) - 1.0
-        mean = np.add.reduceat(scaled, starts, axis=0) * (more / count)[:, np.newaxis]
-        left = scaled + np.repeat(mean, count.astype(np.int64), axis=0)
-        basis = next((each for rows_of_car, each in self._bases if rows_of_car is rows), None)
-        return left if basis is None else left - basis @ (basis.T @ left)
-
     def get_unweighted_columns(self) -> Floats:
         """Return the columns of the model split by vehicle model, not weighted and not split by car, (n, k). [kWh]"""
         every = np.arange(len(self._per_car))

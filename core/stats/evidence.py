@@ -34,8 +34,6 @@ WHOLE_SHARE: Final = 0.999
 """Share of a candidate in one cluster above which the data contain no information about its standard error."""
 LEAST_FREEDOM: Final = 0.5
 """Least degrees of freedom of a standard error."""
-MAX_DISTORTION_SD: Final = 3.0
-"""Standard deviations of a distortion that its maximum corresponds to."""
 
 
 class ClusterSums:
@@ -81,15 +79,6 @@ class Evidence(NamedTuple):
     freedom: Floats
     z: Floats
     p: Floats
-
-    def allow_for_distortion(self, largest: Floats) -> "Evidence":
-        """Return the evidence with standard errors that include distortions of the coefficients by coarse sampling.
-
-        Notes
-        -----
-        The largest distortion is taken as `MAX_DISTORTION_SD` standard deviations of the distortion.
-        """
-        return self._replace(error=np.hypot(self.error, largest / MAX_DISTORTION_SD))
 
     def get_estimate(self, at: int) -> Estimate:
         """Return the coefficient of one candidate. [unit of the coefficient]"""

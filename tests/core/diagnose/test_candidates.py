@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from socast.core import effects
-from socast.core.diagnose.candidates import LEAST_SHARE, NEVER_ACTS, NO_COLUMN, NO_SIGNAL, build_candidates
+from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, build_candidates
 from socast.core.effects import ROAD_LOAD
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
@@ -30,7 +30,6 @@ def test_every_library_effect_is_candidate_or_excluded(diagnosed):
     assert set(candidates.names) | set(candidates.excluded) == set(effects.get_library()) - base
     assert not set(candidates.names) & set(candidates.excluded)
     assert {"cold_rolling", "headwind", "wet_road", "payload", "solar_load"} <= set(candidates.names)
-    assert candidates.scope == ()
 
 
 def test_candidate_columns_match_table(diagnosed):
@@ -52,15 +51,13 @@ def test_excluded_effects_are_no_candidates(diagnosed):
 
 
 @pytest.mark.parametrize("variant", ["cold_rolling", "cold_rolling@reference=283.15"])
-def test_effects_of_model_are_candidates_within_scopes_only(diagnosed, variant):
+def test_effects_of_model_are_no_candidates(diagnosed, variant):
     windows = diagnosed[0]
     terms = (*ROAD_LOAD_TERMS, make_physical_term(variant, (f"effect_{variant}",)))
     model = fit_terms(LinearRecipe("more", "", terms), RideFrame(windows.table), covariance=False)
-    everywhere, places = build_candidates(windows, model), build_candidates(windows, model, scopes=True)
-    assert everywhere.excluded["cold_rolling"] == "in the model"
-    assert "cold_rolling" not in everywhere.names
-    assert "cold_rolling" in places.names
-    assert "cold_rolling" not in places.excluded
+    candidates = build_candidates(windows, model)
+    assert candidates.excluded["cold_rolling"] == "in the model"
+    assert "cold_rolling" not in candidates.names
 
 
 def test_effects_without_column_signal_or_energy_are_excluded_for_this_reason(diagnosed):
@@ -83,29 +80,6 @@ def test_unknown_effect_values_count_as_zero(diagnosed):
     candidates = build_candidates(with_columns(windows, effect_headwind=some), model)
     column = candidates.columns[:, candidates.variants.index("headwind")]
     np.testing.assert_array_equal(column, some.fillna(0.0))
-
-
-def test_restricted_candidates_are_zero_outside_scope(diagnosed):
-    candidates = build_candidates(*diagnosed)
-    here = diagnosed[0].vehicle == 1
-    inside = candidates.restrict_to(here, ("vehicle=taxi-1",))
-    np.testing.assert_array_equal(inside.columns[here], candidates.columns[here])
-    assert not inside.columns[~here].any()
-    assert inside.scope == ("vehicle=taxi-1",)
-    assert (inside.variants, inside.names) == (candidates.variants, candidates.names)
-    assert candidates.columns[~here].any()
-
-
-def test_least_coefficient_has_least_share_of_energy(diagnosed):
-    candidates = build_candidates(*diagnosed)
-    for each, rows in (
-        (candidates, slice(None)),
-        (candidates.restrict_to(diagnosed[0].vehicle == 1, ("vehicle=taxi-1",)), diagnosed[0].vehicle == 1),
-    ):
-        taken = np.abs(each.columns * each.least_coefficients).sum(axis=0)
-        np.testing.assert_allclose(taken, LEAST_SHARE * diagnosed[0].measured[rows].sum())
-    nothing = candidates.restrict_to(np.zeros(len(diagnosed[0].measured), dtype=bool), ("vehicle=none",))
-    assert np.isinf(nothing.least_coefficients).all()
 
 
 def test_tables_without_effects_give_no_candidates(diagnosed):

@@ -130,13 +130,6 @@ def test_weighting_is_invertible(base):
     np.testing.assert_allclose(base.convert_to_energy(base.apply_weights(values)[:, 0]), values[:, 0], atol=1e-9)
 
 
-def test_projection_for_car_equals_projection_for_all(plain):
-    columns = plain.windows.table[["effect_headwind", "effect_wet_road"]].to_numpy()
-    for car, rows in enumerate(plain.cars):
-        here = columns * (plain.windows.vehicle == car)[:, np.newaxis]
-        np.testing.assert_allclose(plain.project_out_for_car(here[rows], car), plain.project_out(here)[rows], atol=1e-8)
-
-
 @pytest.mark.parametrize("of_ride", [0.0, 0.001, 0.002, 0.004])
 def test_planted_ride_correlation_is_recovered(of_ride):
     base = project_base(make_tables(make_windows(), noise=NOISE, of_ride=of_ride))

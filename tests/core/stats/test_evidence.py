@@ -146,16 +146,6 @@ def test_effect_at_least_coefficient_keeps_level(true, sign):
     assert share_below(LEVEL, lambda rng: draw(rng, 5.0 * true), 5) > 0.9
 
 
-def test_distortion_widens_interval_without_changing_probability(rng):
-    residual, candidates = null(days(), rng)
-    plain = compute_evidence(residual, candidates, np.ones(20, dtype=np.int64), ClusterSums(days()))
-    wide = plain.allow_for_distortion(3.0 * plain.error)
-    np.testing.assert_allclose(wide.error, np.sqrt(2.0) * plain.error)
-    np.testing.assert_array_equal(wide.p, plain.p)
-    assert wide.get_estimate(0).ci95 > 1.4 * plain.get_estimate(0).ci95
-    np.testing.assert_array_equal(plain.allow_for_distortion(np.zeros(20)).error, plain.error)
-
-
 def test_zero_candidate_has_no_evidence():
     code = days(10)
     evidence = compute_evidence(
