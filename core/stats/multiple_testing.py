@@ -67,21 +67,6 @@ def adjust_false_discovery(p: Floats) -> Floats:
     return q
 
 
-def combine_by_simes(p: Floats) -> float:
-    """Return the probability that several tests of one effect give their results by chance.
-
-    References
-    ----------
-    Simes, Biometrika 73 (1986) 751, DOI 10.1093/biomet/73.3.751.
-
-    Examples
-    --------
-    >>> combine_by_simes(np.array([0.02, 0.5, 0.03]))
-    0.045
-    """
-    return float(adjust_false_discovery(p).min())
-
-
 def adjust_holm(p: Floats) -> Floats:
     """Return probabilities adjusted by Holm's method.
 

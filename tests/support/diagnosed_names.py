@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from socast.core.diagnose.posterior.probabilities import NONE
+from socast.core.diagnose.records import NONE
 
 
 def make_name(
@@ -24,16 +24,17 @@ def make_name(
     }
 
 
-def make_result(*missing: dict[str, Any], further: Sequence[str] = (NONE,)) -> dict[str, Any]:
+def make_result(*missing: dict[str, Any], deviations: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
     """Return a result of diagnosis."""
-    first = missing[0]["credible_set"] if missing else list(further)
+    first = missing[0]["credible_set"] if missing else [NONE]
     return {
         "missing": list(missing),
         "verdict": missing[0]["effect"] if missing else None,
         "causes": [{"effect": name, "probability": 1.0 / len(first)} for name in first],
         "credible_set": first,
         "further": [],
-        "further_credible_set": list(further),
+        "further_credible_set": [NONE] if missing else [],
         "structure_remains": False,
+        "deviations": list(deviations),
         "error": {"mae_kwh": 0.1, "noise_floor_kwh": 0.05},
     }

@@ -40,7 +40,7 @@ def make_missing_effect(**changes: Any) -> NamedEffect:
         "gain": 0.031,
         "gain_ci95": [0.02, 0.042],
         "energy_share": 0.029,
-        "p": 0.00001,
+        "z": 11.0,
         "coefficient": {
             "value": 1.1e-4, "ci95": [0.9e-4, 1.3e-4], "unit": "1/K", "low": 2e-5, "high": 3e-4, "plausible": True,
         },
@@ -54,11 +54,9 @@ def make_missing_effect(**changes: Any) -> NamedEffect:
 def make_causes() -> list[CauseProbability]:
     """Return the probabilities of causes."""
     rows: list[dict[str, Any]] = [
-        {"effect": "cold_rolling", "probability": 0.84},
+        {"effect": "cold_rolling", "probability": 0.87},
         {"effect": "air_density", "probability": 0.1},
-        {"effect": "several", "probability": 0.04},
-        {"effect": "not in the library", "probability": 0.016},
-        {"effect": "none", "probability": 0.004},
+        {"effect": "none", "probability": 0.03},
     ]
     return [_convert(row, CauseProbability) for row in rows]
 
@@ -119,9 +117,9 @@ def make_located_load(level="ride", *, claimed=True) -> LocatedLoad:
 def make_diagnosis(**changes: Any) -> Diagnosis:
     """Return a complete diagnosis: two missing effects, and structure that no effect explains."""
     of_one = make_missing_effect(
-        effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope=["vehicle=taxi-003"],
+        effect="brake_drag", variant="brake_drag", scope=["vehicle=taxi-003"],
         columns=["effect_brake_drag", "vehicle=taxi-003"], gain=0.006, gain_ci95=[0.001, 0.011], energy_share=0.004,
-        q=0.02, coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
+        coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
         "plausible": False}, words="brakes rub with 75 ± 25 N", equivalents=[], separate=[],
     )  # fmt: skip
     return _convert({
@@ -151,12 +149,12 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
         ],
         "missing": [make_missing_effect(), of_one],
         "candidates": [
-            {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "z": 6.1,
-             "p": 1e-5, "q": 2e-4, "gain": 0.031, "status": "missing"},
-            {"effect": "snow", "variant": "snow", "z": None, "p": None, "q": None, "gain": None,
+            {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "z": 6.1, "probability": 0.87,
+             "gain": 0.031, "status": "missing"},
+            {"effect": "snow", "variant": "snow", "z": None, "probability": None, "gain": None,
              "status": "not in the data"},
-            {"effect": "wet_road", "variant": "wet_road", "z": 0.4, "p": 0.34, "q": 0.9,
-             "gain": -0.0001, "status": "not needed"},
+            {"effect": "wet_road", "variant": "wet_road", "z": 0.4, "probability": 0.01, "gain": -0.0001,
+             "status": "not there"},
         ],
         "verdict": "cold_rolling",
         "structure_remains": True,
@@ -177,8 +175,8 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
         ],
         "causes": make_causes(),
         "credible_set": ["cold_rolling", "air_density"],
-        "further": [{"effect": "none", "probability": 0.8}, {"effect": "not in the library", "probability": 0.2}],
-        "further_credible_set": ["none", "not in the library"],
+        "further": [{"effect": "none", "probability": 0.8}, {"effect": "snow", "probability": 0.2}],
+        "further_credible_set": ["none"],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
     } | changes, Diagnosis)  # fmt: skip

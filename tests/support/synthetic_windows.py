@@ -5,7 +5,6 @@ of the effects.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +12,6 @@ import pandas as pd
 
 from socast.core import effects
 from socast.core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.fit.recipes import fit_to_windows
@@ -247,17 +245,3 @@ def gather_with_model(
 def project_base(tables: tuple[pd.DataFrame, pd.DataFrame], recipe: str = "road_load") -> BaseProjection:
     """Return the projection for a recipe fitted to the same windows."""
     return BaseProjection(*gather_with_model(tables, recipe))
-
-
-def keep_only(candidates: Candidates, *names: str) -> Candidates:
-    """Return the candidates of some effects only, with all their variants."""
-    of = np.array(candidates.names)[candidates.effects]
-    kept = [i for name in names for i in np.flatnonzero(of == name)]
-    return replace(
-        candidates,
-        variants=tuple(candidates.variants[i] for i in kept),
-        effects=np.array([names.index(of[i]) for i in kept], dtype=np.int64),
-        names=names,
-        sign=candidates.sign[kept],
-        columns=candidates.columns[:, kept],
-    )

@@ -47,7 +47,7 @@ class Fleet(NamedTuple):
     rides, windows : int
         Number of rides and windows that were diagnosed.
     named : list of str
-        Effects that the diagnosis names, each with its scope; each name is false.
+        Effects that the diagnosis names in all cars, in a car or a group, or since a date; each name is false.
     z : dict of str to float
         Coefficient of each candidate over its standard error, beside the base alone.
     """
@@ -187,8 +187,14 @@ def run_command(tree: Path, words: Sequence[str]) -> None:
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
     """Return what a diagnosis found in a fleet."""
     named = [name_scoped(m["effect"], list_scope(m.get("columns") or ())) for m in result.get("missing") or ()]
+    named += [_name_deviation(one) for one in result.get("deviations") or ()]
     z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
     return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
+
+
+def _name_deviation(one: Mapping[str, Any]) -> str:
+    """Return the effect of a deviation with the car, the group or `all`, and the date since when it acts."""
+    return name_scoped(one["effect"], [one["who"], *([f"since={one['since']}"] if one["since"] else [])])
 
 
 def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:

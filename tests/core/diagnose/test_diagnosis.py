@@ -4,21 +4,21 @@ import json
 import math
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 from msgspec.structs import replace as replace_fields
-from socast.core.diagnose.siblings.deviations import keep_declared_values
 
 from socast.core import effects
+from socast.core.diagnose import deviations
 from socast.core.diagnose import diagnosis as diagnosing
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
-from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import LEAST_RIDES, gather_windows
 from socast.core.diagnose.diagnosis import diagnose
-from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedModel, Diagnosis, HeldOutRides
+from socast.core.diagnose.records import CarDeviation, DiagnosedModel, Diagnosis, HeldOutRides
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import compare_predictions, compute_errors_by_condition, select_rides
@@ -127,20 +127,21 @@ class TestPromise:
         assert len(names) == len(set(names))
         assert set(names) == set(effects.get_library()) - {effect.name for effect in ROAD_LOAD}
         for row in diagnosis.tested:
-            candidates = row.gain is not None
-            assert candidates == (row.status in {"missing", "not needed", "not there", "wrong sign"}), row
-            if candidates:
-                assert 0.0 <= row.p <= 1.0
-                assert 0.0 <= row.q <= 1.0
-        gains = [row.gain for row in diagnosis.tested if row.gain is not None]
-        assert gains == sorted(gains, reverse=True)
+            tested = row.gain is not None
+            assert tested == (row.status.startswith(("missing", "not needed", "not there", "wrong", "not disting"))), (
+                row
+            )
+            if tested:
+                assert 0.0 <= row.probability <= 1.0
+        chances = [row.probability for row in diagnosis.tested if row.probability is not None]
+        assert chances == sorted(chances, reverse=True)
 
     def test_result_is_reproducible(self, recorded, model, diagnosis):
         assert diagnose(*recorded, model) == diagnosis
 
     def test_result_does_not_depend_on_row_order(self, recorded, model, diagnosis):
         rides, windows = (table.sample(frac=1.0, random_state=5) for table in recorded)
-        other = diagnose(rides, windows, model, places=False)
+        other = diagnose(rides, windows, model)
         assert other.verdict == diagnosis.verdict
         assert other.error.to_json() == pytest.approx(diagnosis.error.to_json())
         coefficient = diagnosis.missing[0].coefficient.value
@@ -242,11 +243,13 @@ def test_bins_that_compare_marks_are_those_of_the_diagnosis(small):
 @pytest.mark.parametrize("dated", [True, False])
 def test_nothing_is_said_of_what_began_at_an_invented_date(small, monkeypatch, dated):
     found = [CarDeviation(who="a"), CarDeviation(who="b", since="2020-06-22")]
-    monkeypatch.setattr(diagnosing, "diagnose_deviations", lambda *_: Comparisons(found, []))
-    monkeypatch.setattr(diagnosing, "LEAST_DAYS_FOR_SCOPES", 1)
+    given = {one.who: one for one in found}
+    scoped = [SimpleNamespace(is_likely=True, family=SimpleNamespace(is_scoped=True, who=one.who)) for one in found]
+    monkeypatch.setattr(deviations, "_describe", lambda _, __, one, ___: given[one.family.who])
+    said = deviations.describe_deviations(None, SimpleNamespace(findings=scoped), dated=dated)
+    assert said == (found if dated else found[:1])
     tables, model = small
-    result = diagnose(*tables, model, dated=dated)
-    assert result.deviations == (found if dated else found[:1])
+    result = diagnose(*tables, model, dated=dated, places=False)
     assert result.data.dated == dated
     said = any("dates are invented" in line for line in sentences.describe_data(result))
     assert said == (not dated)
@@ -299,18 +302,6 @@ class TestInsufficientData:
         diagnosis = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)
         assert diagnosis.data.rides == LEAST_RIDES
         assert msgspec.convert(diagnosis.to_json(), Diagnosis) == diagnosis
-
-
-def test_declared_variants_are_kept_for_scopes(small):
-    tables, model = small
-    candidates = build_candidates(gather_windows(*tables, model), model)
-    diagnosis = keep_declared_values(candidates)
-    assert (
-        diagnosis.variants == diagnosis.names == tuple(name for name in candidates.names if name in candidates.variants)
-    )
-    np.testing.assert_array_equal(diagnosis.effects, np.arange(len(diagnosis.names)))
-    for at, name in enumerate(diagnosis.names):
-        np.testing.assert_array_equal(diagnosis.columns[:, at], candidates.columns[:, candidates.variants.index(name)])
 
 
 def test_rides_are_diagnosed_by_state_of_charge_without_meter():

@@ -11,20 +11,21 @@ from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.partial_residual import BINS, BINS_OF_CAR, compute_partial_residual
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
-from tests.core.diagnose.test_residual_structure import outside, start_selection
+from tests.core.diagnose.test_residual_structure import outside
+from tests.support.selections import select_effects
 from tests.support.synthetic_windows import make_tables, make_windows
 
 
 @pytest.fixture(scope="module")
 def selection():
     """Return a selection that has found a headwind of 5 % of the energy."""
-    return start_selection(make_tables(make_windows(), {"headwind": 0.05}), "headwind")
+    return select_effects(make_tables(make_windows(), {"headwind": 0.05}), "headwind")
 
 
 @pytest.fixture(scope="module")
 def picture(selection):
     with threadpool_limits(1):
-        (finding,) = selection.list_missing_effects()
+        (finding,) = selection.effects
         return compute_partial_residual(selection, finding)
 
 
@@ -58,15 +59,15 @@ def test_every_car_shows_the_coefficient_alone(picture):
 
 
 def test_effect_of_time_is_shown_as_power():
-    found = start_selection(make_tables(make_windows(), {"solar_load": 0.05}), "solar_load")
-    (finding,) = found.list_missing_effects()
+    found = select_effects(make_tables(make_windows(), {"solar_load": 0.05}), "solar_load")
+    (finding,) = found.effects
     shown = compute_partial_residual(found, finding)
     assert (shown.per, shown.unit) == ("h", effects.get("solar_load").unit)
     assert shown.x[0] == 0.0  # the night has a bin of its own
 
 
 def test_profile_shows_unknown_cause_along_its_feature():
-    found = start_selection(make_tables(make_windows(), unknown=outside("crowded")))
+    found = select_effects(make_tables(make_windows(), unknown=outside("crowded")))
     parts = {each.feature: each for each in profile_residual(found)}
     assert {"ambient_c", "occupants", "average_speed_kmh", "vehicle_id", "hour"} <= set(parts)
     for each in parts.values():
@@ -87,11 +88,8 @@ def test_profile_is_flat_once_the_cause_is_selected(selection):
     assert np.mean(np.abs(wind.after_w) < np.array(spread)) >= 0.75
 
 
-def test_steps_have_intervals_and_restore_the_selection(selection):
-    chosen = list(selection.selected)
-    missing = selection.list_missing_effects()
-    first, then = compute_steps(selection, missing, 0.01)
-    assert selection.selected == chosen
+def test_steps_have_intervals(selection):
+    first, then = compute_steps(selection, 0.01)
     assert (first.effect, first.change_kwh, then.effect) == (None, None, "headwind")
     assert then.change_kwh == pytest.approx(then.mae_kwh - first.mae_kwh)
     assert then.change_kwh + then.change_ci95_kwh < 0.0 < first.mae_ci95_kwh < first.mae_kwh

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from threadpoolctl import threadpool_limits
 
-from socast.core.diagnose.candidates import build_candidates
-from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.projection import orthonormalise
 from socast.core.diagnose.residual_structure import (
     FEATURES,
     LEAST_TAKEN,
@@ -18,23 +16,14 @@ from socast.core.diagnose.residual_structure import (
     measure_residual_structure,
 )
 from socast.core.stats.evidence import ClusterSums
+from tests.support.selections import select_effects
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
-
-
-def start_selection(tables, *effects: str) -> ForwardSelection:
-    """Return a selection with the given effects selected."""
-    windows, model = gather_with_model(tables)
-    candidates, clusters = build_candidates(windows, model), [ClusterSums(windows.day), ClusterSums(windows.date)]
-    selection = ForwardSelection(BaseProjection(windows, model), candidates, clusters, SelectionSettings(0.002, 6, 0))
-    selection.selected = [SelectedEffect(candidates, candidates.variants.index(name), 0.0) for name in effects]
-    return selection
 
 
 def measure_with_selected(tables, *effects: str) -> ResidualStructure:
     """Return the residual structure with the given effects selected."""
-    search = start_selection(tables, *effects)
     with threadpool_limits(1):
-        return measure_residual_structure(search, search.list_missing_effects())
+        return measure_residual_structure(select_effects(tables, *effects))
 
 
 def outside(shape: str) -> np.ndarray:
@@ -71,11 +60,10 @@ def test_structure_disappears_with_its_effect():
     tables = make_tables(make_windows(), {"headwind": 0.0, "cold_rolling": 0.10}, of_day=0.01)
     before, after = measure_with_selected(tables), measure_with_selected(tables, "cold_rolling")
     assert before.exists
-    assert before.before > 0.02
-    assert after.before == before.before
+    assert min(before.before, after.before) > 0.02  # the weights of windows differ
     assert not after.exists
     assert after.taken > LEAST_TAKEN
-    assert after.after < 0.2 * before.before
+    assert after.after < 0.2 * after.before
 
 
 def test_wrong_effect_does_not_explain_structure():
@@ -100,7 +88,7 @@ def test_trees_predict_feature_dependence_but_not_noise(rng):
 
 
 def test_strongest_shape_is_off_model_and_selected_effects(rng):
-    search = start_selection(make_tables(make_windows()))
+    search = select_effects(make_tables(make_windows()))
     column = search.base.project_out(outside("crowded")[:, np.newaxis])
     nothing, named = np.empty((len(column), 0)), orthonormalise(column)
     noise = rng.normal(size=len(column))
@@ -117,7 +105,7 @@ def test_strongest_shape_is_off_model_and_selected_effects(rng):
 
 def test_excess_variance_between_days_is_detected():
     """The cause of the difference between days is unknown, and no known property of the days predicts it."""
-    even, odd = (start_selection(make_tables(make_windows(), of_day=of_day)) for of_day in (0.0, 0.10))
+    even, odd = (select_effects(make_tables(make_windows(), of_day=of_day)) for of_day in (0.0, 0.10))
     assert compute_day_variance_ratio(even, even.base.residual) < 1.4
     assert compute_day_variance_ratio(odd, odd.base.residual) > 2.0
     assert measure_with_selected(make_tables(make_windows(), of_day=0.10)).exists

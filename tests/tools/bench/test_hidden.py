@@ -16,7 +16,7 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.core.wire.messages import Telemetry, Weather, encode
-from socast.tools.bench.hidden.cases import RIGHT_NAMES, Case, get_right_names
+from socast.tools.bench.hidden.cases import Case
 from socast.tools.bench.hidden.drives import FLEET, Scope, simulate_drives
 from socast.tools.bench.hidden.evaluation import compute_errors, compute_true_energy, evaluate_case, predict_held_out
 from socast.tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
@@ -25,6 +25,7 @@ from socast.tools.bench.hidden.running import make_tasks, run_cases
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
+from socast.tools.simulator.right_names import RIGHT_NAMES, get_right_names
 from socast.tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 from tests.support.diagnosed_names import make_name, make_result
 

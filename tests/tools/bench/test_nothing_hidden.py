@@ -19,11 +19,12 @@ from socast.tools.bench.nothing_hidden import (
 )
 
 
-def make_diagnosis(z, missing=()):
+def make_diagnosis(z, missing=(), deviations=()):
     """Return the part of a diagnosis that the measurement reads."""
     rows = [{"effect": name, "z": value} for name, value in z.items()]
     named = [{"effect": name, "columns": [f"effect_{name}", *scope]} for name, *scope in missing]
-    return {"data": {"rides": 30, "windows": 200}, "missing": named, "candidates": rows}
+    data = {"rides": 30, "windows": 200}
+    return {"data": data, "missing": named, "candidates": rows, "deviations": list(deviations)}
 
 
 def test_seeds_are_numbers_and_ranges():
@@ -42,6 +43,8 @@ def test_names_count_with_and_without_scope():
     one = read_fleet(1, make_diagnosis({"snow": 4.0, "payload": None}, [("snow", "vehicle=taxi-001")]))
     other = read_fleet(2, make_diagnosis({"snow": -1.0, "payload": 0.5}))
     assert one.named == ["snow (vehicle=taxi-001)"]
+    changed = {"effect": "brake_drag", "who": "taxi-002", "since": "2018-06-01"}
+    assert read_fleet(3, make_diagnosis({}, deviations=[changed])).named == ["brake_drag (taxi-002, since=2018-06-01)"]
     snow, payload = summarise_effects([one, other])
     assert (snow.effect, snow.fleets, snow.least, snow.median, snow.most, snow.named) == ("snow", 2, -1.0, 1.5, 4.0, 1)
     assert (payload.fleets, payload.named) == (1, 0)

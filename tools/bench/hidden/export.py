@@ -103,8 +103,8 @@ Write a JSON file with a ranking for each data set:
 
     {{"00000": ["snow", "wet_road"], "00001": []}}
 
-The first name counts; of two effects, the first two. Answer `none` or an empty list where nothing is missing, and
-`not in the library` where no candidate fits. Then run in the repository:
+The first name counts; of two effects, the first two. Answer `none` or an empty list where nothing is missing, and where
+no candidate fits. Then run in the repository:
 
     python -m socast.tools.bench.hidden.judge DIR answers.json
 

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.stats.clustered import compute_wilson_interval
-from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.grading import LIKELY, Record
 from socast.tools.bench.hidden.parts import ABSORBED
 from socast.tools.bench.hidden.reliability import Stated, compute_calibration_error, draw_calibration_error
 from socast.tools.simulator.hidden_shapes import strip_shape
@@ -17,12 +17,10 @@ LEAST: Final = {"vi": 0.015, "soc": 0.03}
 """Share of the energy from which on diagnosis should name an effect. [1]"""
 SURE: Final = 0.9
 """Probability from which on a name is given as sure. [1]"""
-LIKELY: Final = 0.5
-"""Probability from which on a name counts as a claim where nothing is hidden. [1]"""
 LEAST_WAY: Final = 0.03
 """Share of the error that knowing the truth must remove for the way there to be judged. [1]"""
-SINGLE: Final = ("one", "none", "outside")
-"""Parts with at most one effect, on which probabilities are judged."""
+JUDGED: Final = ("one", "two", "none", "outside")
+"""Parts on which probabilities are judged."""
 
 
 class Figure(NamedTuple):
@@ -57,6 +55,7 @@ def compute_figures(records: Sequence[Record]) -> list[Figure]:
     vi, soc = select_counted(records, "vi"), select_counted(records, "soc")
     one, two = [*vi, *soc], select_part(records, "two")
     none, outside = select_part(records, "none"), select_part(records, "outside")
+    named = [r for r in one if r["names"]]
     stated = list_stated(records)
     sure = [right for probability, right in stated if probability >= SURE]
     contained = [i["holds"] for r in [*select_part(records, "one"), *two] for i in r["intervals"] if i["right"]]
@@ -67,15 +66,29 @@ def compute_figures(records: Sequence[Record]) -> list[Figure]:
         _share("SOC only, 3 % or more, visible: truth first", [is_right(r) for r in visible_soc]),
         _share("SOC only, 3 % or more, all: truth first", [is_right(r) for r in soc], least=0.85),
         _share("all of these: wrong name first", [r["outcome"] == "wrong" for r in one], most=0.05),
-        _share("all of these: first name wrong and sure (90 % or more)", [is_wrong_and_sure(r) for r in one]),
-        _share("all of these: credible set of 90 % holds the truth", [r["set_holds"] for r in one], 0.88, 0.95),
-        _median_size(one),
+        _share("all of these: a name that is wrong and sure (90 % or more)", [is_wrong_and_sure(r) for r in one]),
+        _share(
+            "of these, those with a name: credible set of 90 % holds the truth",
+            [r["set_holds"] for r in named],
+            0.88,
+            0.95,
+        ),
+        _median_size(named),
         _share("names given with 90 % or more are right", sure, least=0.88),
         _calibration_error(stated),
         _share("truth not in the library: wrong and sure", [is_wrong_and_sure(r) for r in outside], most=0.02),
+        _share(
+            "truth not in the library, no name: structure remains",
+            [r["structure_remains"] for r in outside if not r["names"]],
+        ),
         _claims(none),
         _share(
-            "two effects, both visible: both in the credible sets of the first two steps",
+            "all data sets: a single car, or a change, is blamed falsely",
+            [bool(r["deviations"]) for part in JUDGED for r in select_part(records, part)],
+            most=0.05,
+        ),
+        _share(
+            "two effects, both visible: both named with 50 % or more",
             [r["found"] == 2 for r in two if r["visible"]],
             least=0.85,
         ),
@@ -96,9 +109,9 @@ def select_counted(records: Sequence[Record], measurement: str) -> list[Record]:
 
 
 def list_stated(records: Sequence[Record]) -> Stated:
-    """Return the probability of the first name of each data set with at most one effect, and whether it is right."""
-    single = [r for part in SINGLE for r in select_part(records, part)]
-    return [(r["names"][0]["probability"], r["names"][0]["right"]) for r in single if r["names"]]
+    """Return the probability of each name of each data set, and whether it is right."""
+    judged = [r for part in JUDGED for r in select_part(records, part)]
+    return [(name["probability"], name["right"]) for r in judged for name in r["names"]]
 
 
 def is_right(record: Record) -> bool:
@@ -107,8 +120,8 @@ def is_right(record: Record) -> bool:
 
 
 def is_wrong_and_sure(record: Record) -> bool:
-    """Return whether the first name is wrong and has a probability of 90 % or more."""
-    return bool(record["outcome"] == "wrong" and record["names"][0]["probability"] >= SURE)
+    """Return whether a name is wrong and has a probability of 90 % or more."""
+    return any(name["probability"] >= SURE and not name["right"] for name in record["names"])
 
 
 def is_absorbed(record: Record) -> bool:
@@ -193,9 +206,9 @@ def _median_size(records: Sequence[Record]) -> Figure:
 
 
 def _calibration_error(stated: Stated) -> Figure:
-    """Return the figure of the calibration error of the first name."""
+    """Return the figure of the calibration error of the names."""
     value = compute_calibration_error(stated)
-    what = "expected calibration error of the first name"
+    what = "expected calibration error of the names"
     low, high = draw_calibration_error(stated)
     by_chance = "" if isnan(value) else f"by chance alone: {low:.3f} to {high:.3f}"
     text = "" if isnan(value) else f"{value:.3f}"

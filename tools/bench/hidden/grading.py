@@ -1,65 +1,55 @@
 """Compare the names and the probabilities that diagnosis gives with the effects that are hidden."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
-from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
-
+from socast.core.diagnose.records import NONE
 from socast.tools.bench.hidden.cases import Case
 from socast.tools.simulator.right_names import get_right_names
 
 Record = dict[str, Any]
-Effects = Sequence[tuple[str, float]]
 
-STEPS: Final = 2
-"""Number of steps in whose credible sets two hidden effects are sought."""
+LIKELY: Final = 0.5
+"""Probability from which on a name counts as a claim. [1]"""
 
 
 def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
-    """Return whether the names and credible sets of a diagnosis are right.
+    """Return whether the names and the credible set of a diagnosis are right.
 
     Returns
     -------
     Record
-        `outcome` of the first name: `right`, `wrong`, or `none` without a name. `names`: every name in order of
-        selection, its probability, and whether it is right. `cause`: the most probable cause before any effect is
-        selected. `set_size` and `set_holds`: size of the credible set of the leading cause before any effect is
-        selected, and whether the truth is in it. `found`: number of hidden effects in the credible sets of the first
-        two steps.
+        `outcome` of the first name: `right`, `wrong`, or `none` without a name. `names`: every name in the order of the
+        diagnosis, its probability that it is missing, whatever else is, and whether it is right. `cause`: the most
+        probable cause of the first name. `set_size` and `set_holds`: size of the credible set of the first name, and
+        whether a hidden effect is in it; None without a name. `found`: number of hidden effects among the names with a
+        probability of `LIKELY` or more. `deviations`: single cars, groups and dates that the diagnosis blames.
     """
     wanted = list_truths(case)
-    hidden = {name for names in wanted for name in names} - {NONE, UNKNOWN}
+    hidden = {name for names in wanted for name in names} - {NONE}
     names = [
         {"effect": name["effect"], "probability": name["probability"], "right": name["effect"] in hidden}
         for name in result["missing"]
     ]
     outcome = "none" if not names else "right" if names[0]["right"] else "wrong"
-    sets = list_credible_sets(result)
-    within = set().union(*sets)
+    likely = {name["effect"] for name in names if name["probability"] >= LIKELY}
+    credible = result["credible_set"] if names else None
     return {
         "outcome": outcome,
         "names": names,
         "cause": result["causes"][0]["effect"] if result["causes"] else NONE,
-        "set_size": len(sets[0]),
-        "set_holds": any(name in sets[0] for each in wanted for name in each),
-        "found": sum(any(name in within for name in each) for each in wanted),
+        "set_size": None if credible is None else len(credible),
+        "set_holds": None if credible is None else not hidden.isdisjoint(credible),
+        "found": sum(not likely.isdisjoint(each) for each in wanted),
+        "deviations": [
+            {key: one[key] for key in ("who", "of", "kind", "effect", "since", "q")} for one in result["deviations"]
+        ],
         "verdict": result["verdict"],
         "structure_remains": result["structure_remains"],
     }
 
 
 def list_truths(case: Case) -> list[tuple[str, ...]]:
-    """Return the right names of each cause: of each hidden effect, of nothing, or of an effect outside the library."""
-    if not case.hidden:
-        return [(NONE,)]
+    """Return the right names of each hidden effect; `none` where no effect of the library is missing."""
     names = [get_right_names(effect) for effect, _ in case.hidden]
-    return [(UNKNOWN,) if set(each) <= set(case.without) else each for each in names]
-
-
-def list_credible_sets(result: Mapping[str, Any]) -> list[list[str]]:
-    """Return the credible sets of the first steps of a diagnosis, the one in which it ended included."""
-    selected = [name["credible_set"] for name in result["missing"]]
-    sets = [result["credible_set"], *selected[1:]]
-    if selected:
-        sets.append(result["further_credible_set"])
-    return [list(each) for each in sets[:STEPS]]
+    return [(NONE,) if set(each) <= set(case.without) else each for each in names] or [(NONE,)]

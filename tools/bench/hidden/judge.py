@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from rich.console import Console
-from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
 
+from socast.core.diagnose.records import NONE
 from socast.core.errors import SettingsError, SocastError
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.hidden.figures import LEAST
@@ -73,8 +73,6 @@ def judge(answers: Answers, truths: Mapping[str, Truth]) -> list[Score]:
 def is_answer_right(ranking: Sequence[str], truth: Truth) -> bool:
     """Return whether as many first names as there are causes are right."""
     first = list(ranking[: len(truth["truths"])]) or [NONE]
-    if truth["truths"] == [[UNKNOWN]]:
-        return first[0] in {NONE, UNKNOWN}
     return all(any(name in names for name in first) for names in truth["truths"])
 
 

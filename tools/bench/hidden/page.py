@@ -183,7 +183,14 @@ def tabulate_by_share(records: Sequence[Record]) -> Lines:
 def tabulate_by_part(records: Sequence[Record]) -> Lines:
     """Return a table of all parts, with the effects that the base absorbs apart."""
     done = [r for r in records if "refused" not in r]
-    heads = ["part", "measurement", "data sets", "right, wrong, none", "set holds the truth", "names per data set"]
+    heads = [
+        "part",
+        "measurement",
+        "data sets",
+        "right, wrong, none",
+        "set of a name holds the truth",
+        "names per data set",
+    ]
     rows = []
     labels: list[tuple[str, Callable[[Record], bool]]] = [
         ("one effect", lambda r: r["part"] == "one" and not is_absorbed(r)),
@@ -197,7 +204,7 @@ def tabulate_by_part(records: Sequence[Record]) -> Lines:
             group = [r for r in done if r["measurement"] == measurement and belongs(r)]
             if group:
                 names = sum(len(r["names"]) for r in group) / len(group)
-                holds = format_rate([r["set_holds"] for r in group])
+                holds = format_rate([r["set_holds"] for r in group if r["names"]])
                 rows.append([what, _SHORT[measurement], str(len(group)), _three(group), holds, f"{names:.2f}"])
     return write_table(heads, rows)
 

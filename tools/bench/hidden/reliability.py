@@ -129,7 +129,7 @@ def draw_reliability(stated: Stated) -> str:
         ),
         "<title>Share of right names against the stated probability</title>",
         f"<rect width='{WIDTH}' height='{HEIGHT}' fill='#ffffff'/>",
-        f"<text x='{LEFT - 60}' y='28' fill='{INK}' font-weight='bold'>Share of first names that are right [%]</text>",
+        f"<text x='{LEFT - 60}' y='28' fill='{INK}' font-weight='bold'>Share of names that are right [%]</text>",
     ]
     for tick in TICKS:
         x, y = _across(tick), _down(tick)

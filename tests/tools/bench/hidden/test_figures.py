@@ -29,9 +29,11 @@ def make_record(part="one", outcome="right", probability=0.95, **changes):
         "names": []
         if outcome == "none"
         else [{"effect": effect, "probability": probability, "right": outcome == "right"}],
-        "set_size": 1,
-        "set_holds": outcome == "right",
+        "set_size": None if outcome == "none" else 1,
+        "set_holds": None if outcome == "none" else outcome == "right",
         "found": 1,
+        "deviations": [],
+        "structure_remains": part == "outside",
         "missing": [] if outcome == "none" else [{"effect": effect}],
         "intervals": [{"right": True, "holds": True}],
         "left": 0.5,
@@ -87,21 +89,32 @@ class TestFigures:
             make_record("one", "wrong", 0.99),
             make_record("one", "right", 0.99),
         ]
-        assert self.select_figure(records, "not in the library").value == pytest.approx(1 / 3)
-        assert self.select_figure(records, "first name wrong and sure").value == 0.5
+        assert self.select_figure(records, "not in the library: wrong and sure").value == pytest.approx(1 / 3)
+        assert self.select_figure(records, "a name that is wrong and sure").value == 0.5
 
-    def test_stated_probabilities_are_those_of_data_sets_with_at_most_one_effect(self):
+    def test_any_wrong_name_may_be_sure_not_only_the_first(self):
+        names = [{"effect": name, "probability": p, "right": False} for name, p in (("age", 0.6), ("payload", 0.95))]
+        records = [make_record("outside", "wrong", names=names), make_record("outside", "none")]
+        assert self.select_figure(records, "not in the library: wrong and sure").value == 0.5
+        remains = self.select_figure(records, "structure remains")
+        assert (remains.value, remains.of) == (1.0, 1)
+
+    def test_cars_and_changes_that_are_blamed_falsely_are_counted_in_all_data_sets(self):
+        records = [make_record("none", "none", hidden=[]), make_record(deviations=[{"who": "taxi-1"}])]
+        assert self.select_figure(records, "blamed falsely").value == 0.5
+
+    def test_stated_probabilities_are_those_of_every_name(self):
         records = [
             make_record(probability=0.95),
             make_record("outside", "wrong", 0.95),
             make_record("none", "wrong", 0.55, hidden=[]),
-            make_record("two", "wrong", 0.99),
+            make_record("two", "right", 0.95),
         ]
         sure = self.select_figure(records, "names given with 90 %")
-        assert (sure.value, sure.of) == (0.5, 2)
+        assert (sure.value, sure.of) == (pytest.approx(2 / 3), 3)
         error = self.select_figure(records, "expected calibration error")
-        assert error.of == 3
-        assert error.value == pytest.approx((2 * 0.45 + 0.55) / 3)
+        assert error.of == 4
+        assert error.value == pytest.approx((3 * (0.95 - 2 / 3) + 0.55) / 4)
 
     def test_credible_sets_have_a_range_and_a_size(self):
         records = [make_record(set_holds=i > 0, set_size=i % 4) for i in range(10)]
@@ -109,6 +122,7 @@ class TestFigures:
         assert (figure.value, figure.met) == (0.9, True)
         assert not self.select_figure([make_record()], "credible set of 90 %").met
         assert self.select_figure(records, "median size").value == 1.0
+        assert self.select_figure([*records, make_record(outcome="none")], "credible set of 90 %").of == 10
 
     def test_two_visible_effects_must_both_be_found(self):
         pair = [["snow", 0.03], ["payload", 0.03]]
