@@ -36,6 +36,7 @@ from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.free_form.search import Suggestion, suggest_term
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
+from socast.core.diagnose.inference.scopes import Event
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.partial_residual import compute_partial_residual
 from socast.core.diagnose.projection import BaseProjection
@@ -92,6 +93,7 @@ def diagnose(
     least_gain: float = 0.0,
     places: bool = True,
     groups: Mapping[str, str] | None = None,
+    events: Sequence[Event] = (),
     seed: int = 0,
     dated: bool = True,
     report: Callable[[float, str], None] = lambda *_: None,
@@ -108,6 +110,10 @@ def diagnose(
         limit beside its probability. [1]
     places : bool
         Whether to test whether single cars deviate from their siblings, and what changed since a date.
+    groups : mapping of str to str, optional
+        Vehicle -> its group, such as a depot.
+    events : sequence of Event
+        Known events after which a car may have changed; each is a candidate of its own.
     dated : bool
         Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date, and of
         seasons and hours.
@@ -121,7 +127,7 @@ def diagnose(
         kept = drop_dates(rides, windows, held_out)
         seen = gather_windows(*kept, model)
         result = _diagnose(
-            seen, model, without, least_gain, groups, places=places, seed=seed, dated=dated, report=report
+            seen, model, without, least_gain, groups, events, places=places, seed=seed, dated=dated, report=report
         )
     recorded = {date for attempt in list_attempts(model.history) if attempt.final for date in attempt.final.dates}
     unused = HeldOutRides(
@@ -139,6 +145,7 @@ def _diagnose(
     without: Collection[str],
     least_gain: float,
     groups: Mapping[str, str] | None,
+    events: Sequence[Event],
     *,
     places: bool,
     seed: int,
@@ -158,6 +165,7 @@ def _diagnose(
         columns,
         [effects.get(name).base for name in model.effects],
         list_groups(seen, columns, groups or {}),
+        events,
         scopes=places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES,
         seed=seed,
         report=lambda done: report(0.3 + 0.5 * done, "weighing the effects"),

@@ -16,7 +16,9 @@ from socast.core.diagnose.add import add
 from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
+from socast.core.diagnose.inference.events import read_events
 from socast.core.diagnose.inference.groups import read_groups
+from socast.core.diagnose.inference.scopes import Event
 from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
@@ -82,6 +84,10 @@ def diagnose_rides(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
     ] = None,
+    events: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Known events that may have changed a car: columns date,vehicle_id."),
+    ] = None,
     since: Annotated[
         str | None, typer.Option(metavar="DATE", help="Diagnose only rides from this UTC date on, such as 2018-11-01.")
     ] = None,
@@ -103,7 +109,7 @@ def diagnose_rides(
     socast diagnose motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast diagnose tables --model fitted.json --auto -o best.json
     """
-    _check_options(auto, out, groups, findings)
+    _check_options(auto, out, groups or events, findings)
     first_day = _parse_date(since) if since else None
     source.check()
     loaded = models.load(model)
@@ -127,7 +133,8 @@ def diagnose_rides(
         models.save(loaded, out)
     else:
         of_vehicle = read_groups(groups) if groups else None
-        result = _diagnose(loaded, table, windows, least_gain, of_vehicle, dated=dated)
+        known = read_events(events) if events else []
+        result = _diagnose(loaded, table, windows, least_gain, of_vehicle, known, dated=dated)
         result = insert_commands(result, model, source)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
@@ -238,7 +245,7 @@ def _check_options(auto: bool, out: Path | None, groups: Path | None, findings: 
     if auto != (out is not None):
         raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
     if auto and groups:
-        raise SettingsError("--groups has no effect with --auto, because no term of a model holds for a group")
+        raise SettingsError("--groups and --events have no effect with --auto, which adds effects of all cars")
     if auto and findings:
         raise SettingsError("--findings has no effect with --auto, which adds what it finds: give one of the two")
 
@@ -257,6 +264,7 @@ def _diagnose(
     windows: pd.DataFrame,
     least_gain: float,
     groups: Mapping[str, str] | None = None,
+    events: Sequence[Event] = (),
     leave_out: Collection[str] | None = None,
     *,
     dated: bool = True,
@@ -265,7 +273,9 @@ def _diagnose(
     from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
     with show_elapsed("diagnosing"):
-        return diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups, dated=dated)
+        return diagnose(
+            rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups, events=events, dated=dated
+        )
 
 
 def word_result(result: Diagnosis) -> Diagnosis:
