@@ -63,11 +63,11 @@ def describe_deviations(seen: Windows, inference: Inference, *, dated: bool) -> 
         Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date.
     """
     scoped = [one for one in inference.findings if one.family.is_scoped]
-    found = [_describe(seen, inference, one, len(scoped)) for one in scoped if one.is_likely]
+    found = [_describe(seen, inference, one) for one in scoped if one.is_likely]
     return sorted((one for one in found if dated or one.since is None), key=rank_deviation)
 
 
-def _describe(seen: Windows, inference: Inference, one: Finding, tests: int) -> CarDeviation:
+def _describe(seen: Windows, inference: Inference, one: Finding) -> CarDeviation:
     """Return the record of a finding within a scope."""
     family, when, effect = one.family, one.when, effects.get(one.variant)
     coefficient = describe_coefficient(effect, one.size.estimate)
@@ -103,7 +103,7 @@ def _describe(seen: Windows, inference: Inference, one: Finding, tests: int) -> 
         q=1.0 - one.probability,
         z=estimate.value / estimate.error,
         evidence=_average_evidence(one),
-        tests=tests,
+        tests=inference.scoped,
         coefficient=coefficient,
         words=effect.in_words(estimate.value, estimate.ci95),
         since=since,

@@ -204,7 +204,7 @@ def _diagnose(
         structure=_describe_structure(remains),
         suggestion=None if suggested is None else suggested.formula,
         suggestion_file=None if suggested is None else suggested.file,
-        steps=compute_steps(selection, floor),
+        steps=compute_steps(selection.on(base), floor),
         profiles=profile_residual(named),
         deviations=describe_deviations(seen, inference, dated=dated),
         cars=rank_cars(inference),

@@ -39,7 +39,7 @@ class MissingEffect:
     causes : dict of str to float
         Effects that could explain the same, with their shares of that probability, the largest first. [1]
     gain : Estimate
-        Share of the squared error of rides that it explains on held-out days beside the other missing effects. [1]
+        Share of the squared error of rides that it explains on held-out days beside the effects before it. [1]
     expected : bool
         Whether physics expects it in every car, so that it is no surprise.
     """
@@ -114,7 +114,7 @@ class Selection:
         return left
 
     def compute_gain(self, effect: MissingEffect) -> Estimate:
-        """Return the gain of an effect beside the other missing ones, see `compute_held_out_gain`."""
+        """Return the gain of an effect beside the others of the selection, see `compute_held_out_gain`."""
         space = self.build_space(effect)
         column = space.project_out(effect.column)[:, 0]
         return compute_held_out_gain(self.base, column, space.residual, effect.limits, self.clusters[0], self.seed)
@@ -185,27 +185,41 @@ def _range(effect: str) -> tuple[float, float]:
 def select_missing(
     base: BaseProjection, inference: Inference, clusters: Sequence[ClusterSums], seed: int = 0, least_gain: float = 0.0
 ) -> Selection:
-    """Return the missing effects: plausible ones, then those that physics expects in every car, each by gain.
+    """Return the missing effects: plausible ones, then those that physics expects in every car, then implausible ones.
+
+    In each of these groups, the effect with the largest gain beside those before it comes next.
 
     Parameters
     ----------
     least_gain : float
         Gain below which an effect is left out; 0 for no limit. [1]
 
-
     Notes
     -----
     The gain is computed with the weights of the model as given, as `socast add` does; figures have weights that are
     computed beside the effects.
     """
-    given = Selection(base, clusters, tuple(list_missing(inference)), seed)
-    with_gain = [replace(each, gain=given.compute_gain(each)) for each in given.effects]
-    if least_gain > 0.0:
-        with_gain = [each for each in with_gain if each.gain.value >= least_gain]
-    ranked = sorted(with_gain, key=lambda each: (not _is_plausible(each), each.expected, -each.gain.value))
+    given = Selection(base, clusters, (), seed)
+    found = list_missing(inference)
+    ranked: list[MissingEffect] = []
+    for group in sorted({_get_group(each) for each in found}):
+        left = [each for each in found if _get_group(each) == group]
+        while left:
+            beside = given.keep(ranked)
+            with_gain = [replace(each, gain=beside.compute_gain(each)) for each in left]
+            best = max(range(len(left)), key=lambda at: with_gain[at].gain.value)
+            if with_gain[best].gain.value < least_gain and least_gain > 0.0:
+                break
+            ranked.append(with_gain[best])
+            left.pop(best)
     if not ranked:
-        return given.keep(())
+        return given
     return Selection(base.reweight(np.column_stack([each.column for each in ranked])), clusters, tuple(ranked), seed)
+
+
+def _get_group(each: MissingEffect) -> tuple[bool, bool]:
+    """Return the group of an effect, the first one before the others: plausible, and not expected by physics."""
+    return not _is_plausible(each), each.expected
 
 
 def _is_plausible(each: MissingEffect) -> bool:

@@ -90,13 +90,13 @@ def brake_drag(speed: Floats) -> Floats:
 @effect(
     coefficient="mass per passenger beyond the 75 kg counted",
     unit="kg",
-    low=3.0,
+    low=-60.0,
     high=150.0,
-    source="Regulation (EU) No 1230/2012, Art. 2(4)(a): 75 kg a driver; range: from a bag to twice a person (estimate)",
+    source="Regulation (EU) No 1230/2012, Art. 2(4)(a): 75 kg a driver; range: a child to twice a person (estimate)",
     parameters={"gravity": Parameter(GRAVITY, "m/s^2")},
     confused_with=("drivetrain_loss_torque",),
     shown_by="rides with and without passengers over the same roads, where cars report their passengers",
-    words="each passenger weighs {value} kg more than was counted",
+    words="each passenger weighs 75 kg and {value} kg",
 )
 def payload(
     occupants: Floats,

@@ -23,6 +23,8 @@ LEAST_SHARE: Final = 0.002
 """Share of the energy that an effect of twice its standard deviation must be able to take."""
 KEPT: Final = 40
 """Largest number of alternatives of a family that are compared; the others are far less probable."""
+FIXED: Final = 1e12
+"""Precision of the coefficients of known effects then, so that none makes itself unidentifiable. [1]"""
 FREE: Final = 1e-4
 """Precision of the coefficients of the base when it is asked what they could explain. [1]"""
 
@@ -158,6 +160,7 @@ class _Products:
         """Return the factor of the system in which the coefficients of the base are nearly free."""
         size = self.model.size
         precision = np.where(np.arange(size) < self.model.shared, FREE, 1.0)
+        precision[self.model.locate_known()] = FIXED
         return np.asarray(np.linalg.cholesky(self.model.total[:size, :size] + np.diag(precision)))
 
     def get_beside(self, effect: int) -> Floats:

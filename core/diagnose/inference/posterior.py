@@ -142,6 +142,8 @@ class Inference:
         The same effects -> probability that they are missing. [1]
     unidentified : frozenset of str
         Effects that the base can imitate.
+    scoped : int
+        Number of families within scopes: cars, groups and dates.
     model : WindowModel
         The windows beside all likely findings.
     """
@@ -151,6 +153,7 @@ class Inference:
     alone: dict[str, tuple[str, float]]
     chances: dict[str, float]
     unidentified: frozenset[str]
+    scoped: int
     model: WindowModel
 
     @property
@@ -190,7 +193,7 @@ def infer_missing(
     for step, least in enumerate((*BESIDE, None)):
         given = select_alternatives(model, families, given)
         first = first or given
-        chances = sample_alternatives(given, seed)
+        chances, together = sample_alternatives(given, seed)
         report(0.2 * (step + 1))
         of_family = [float(chances[given.family == number].sum()) for number in range(len(families))]
         best = {
@@ -203,7 +206,7 @@ def infer_missing(
             model = model.add(_stack(given, columns, found)).relearn()
     assert given is not None  # there are several rounds
     assert first is not None
-    examiner = _Examiner(model, families, given, chances, best)
+    examiner = _Examiner(model, families, given, chances, best | together, together)
     ranked = sorted(best, key=lambda number: -of_family[number])
     findings = []
     for done, number in enumerate(ranked[:MOST]):
@@ -224,6 +227,7 @@ def infer_missing(
         unidentified=frozenset(
             name for name, number in everywhere.items() if not first.identified & set(families[number].effects)
         ),
+        scoped=sum(family.is_scoped for family in families),
         model=final,
     )
 
@@ -256,9 +260,10 @@ class _Examiner:
         given: Alternatives,
         chances: Floats,
         best: dict[int, int],
+        together: dict[int, int],
     ) -> None:
         self.model, self.families, self.given, self.chances, self.best = model, families, given, chances, best
-        self._sampled = {number: float(chances[given.family == number].sum()) for number in best}
+        self._together = together
         self._models: dict[tuple[int, ...], WindowModel] = {}
 
     def get_model(self, chosen: Sequence[int]) -> WindowModel:
@@ -273,7 +278,7 @@ class _Examiner:
         """Return the odds and the size of the best alternative of a family beside the other likely ones."""
         given, family, at = self.given, self.families[number], self.best[number]
         columns = self.model.columns
-        others = [row for other, row in self.best.items() if other != number and self._sampled[other] > LIKELY]
+        others = [row for other, row in self._together.items() if other != number]
         without = self.get_model(others)
         both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
         size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))

@@ -12,7 +12,8 @@ References
 George and McCulloch, Journal of the American Statistical Association 88 (1993) 881, DOI 10.1080/01621459.1993.10476353.
 """
 
-from typing import Final
+from collections import Counter
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -50,12 +51,28 @@ def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floa
     return np.asarray(out)
 
 
-def sample_alternatives(given: Alternatives, seed: int = 0) -> Floats:
-    """Return the probability of each alternative, averaged over what may be true beside it, (k,)."""
+class Sample(NamedTuple):
+    """Hold what may be true.
+
+    Parameters
+    ----------
+    chances : (k,) float
+        Probability of each alternative, averaged over what may be true beside it. [1]
+    together : dict of int to int
+        Family -> its alternative, in the most frequent set of what is true together.
+    """
+
+    chances: Floats
+    together: dict[int, int]
+
+
+def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
+    """Return the probability of each alternative, and the set that is most often true together."""
     rng = np.random.default_rng(seed)
     rows = {family: np.flatnonzero(given.family == family) for family in sorted(set(given.family.tolist()))}
     state: dict[int, int | None] = dict.fromkeys(rows)
     total = np.zeros(len(given.family))
+    sets: Counter[tuple[int, ...]] = Counter()
 
     def list_others(but: int) -> list[int]:
         return [at for family, at in state.items() if at is not None and family != but]
@@ -74,7 +91,11 @@ def sample_alternatives(given: Alternatives, seed: int = 0) -> Floats:
             drawn = int(rng.choice(open_rows, p=normalise(odds)))
             state[family] = None
             state[int(given.family[drawn])] = drawn
-    return total / (SWEEPS - BURNT)
+        if sweep >= BURNT:
+            sets[tuple(sorted(int(given.family[at]) for at in state.values() if at is not None))] += 1
+    chances = total / (SWEEPS - BURNT)
+    most = max(sets, key=lambda families: (sets[families], families)) if sets else ()
+    return Sample(chances, {family: int(rows[family][np.argmax(chances[rows[family]])]) for family in most})
 
 
 def normalise(odds: Floats) -> Floats:

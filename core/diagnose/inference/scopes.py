@@ -30,8 +30,6 @@ CHANGING: Final = (
     "cold_regen_limit",
 )
 """Effects that may begin at a date. Those of the weather and of the road do not: they come and go."""
-EITHER_SIGN: Final = frozenset({"payload"})
-"""Effects whose coefficient may have either sign in all cars: passengers may be lighter than is assumed."""
 PRIOR_EFFECT: Final = 0.1
 """Probability beforehand that all cars lack an effect."""
 PRIOR_CAR: Final = 0.01
@@ -149,7 +147,7 @@ def list_families(
     expected = {each.effect for each in columns.expected}
     always = (Place("always", np.ones(len(everywhere))),)
     out = [
-        Family(name, "all", tuple(at), everywhere, always, PRIOR_EFFECT, ALWAYS_SIZE, name in EITHER_SIGN)
+        Family(name, "all", tuple(at), everywhere, always, PRIOR_EFFECT, ALWAYS_SIZE, effects.get(name).sign == 0)
         for name, at in variants.items()
         if name not in expected and name not in inside
     ]

@@ -67,8 +67,9 @@ class WindowModel:
         n = len(columns.residual)
         self.columns, self.known = columns, np.zeros((n, 0))
         self.log_spread = np.zeros(DATES.stop)
-        self.variance = np.full(n, max(FIRST_VARIANCE * float(np.var(columns.residual)), 1e-12))
-        self.weight = 1.0 - columns.ignored.astype(np.float64)
+        counted = columns.ignored == 0
+        self.variance = np.full(n, max(FIRST_VARIANCE * float(np.var(columns.residual[counted])), 1e-12))
+        self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
         self.has_cars = bool(np.bincount(kinds).max() > 1)
         self.has_dates = len(columns.cars) > 1 and len(columns.start) > LEAST_DATES * len(columns.dates)
@@ -273,8 +274,8 @@ class WindowModel:
         counted = self.columns.ignored == 0
         self.variance = np.full(len(residual), 1.0)
         self.variance[counted] = estimate_variance(self.columns.parts[counted], residual[counted])
-        weight = compute_robust_weights(residual / np.sqrt(self.variance)) ** 2
-        self.weight = np.where(counted, weight, 0.0)
+        self.weight = np.zeros(len(residual))
+        self.weight[counted] = compute_robust_weights(residual[counted] / np.sqrt(self.variance[counted])) ** 2
 
     def _evaluate(self, parameters: Floats) -> tuple[float, Floats]:
         """Return minus the log density and its gradient at log spreads and the log of a factor of all variances."""

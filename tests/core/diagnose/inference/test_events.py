@@ -17,7 +17,11 @@ def test_file_names_dates_and_cars(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("day\n2023-05-05\n", "no column 'date'"), ("date\n5 May\n", "line 2: the date is '5 May'"), ("", "cannot be read")],
+    [
+        ("day\n2023-05-05\n", "no column 'date'"),
+        ("date\n5 May\n", "line 2: the date is '5 May'"),
+        ("", "cannot be read"),
+    ],
 )
 def test_file_that_holds_no_events_is_refused_in_one_line(text, words, tmp_path):
     file = tmp_path / "events.csv"

@@ -67,11 +67,11 @@ def test_further_evidence_is_the_difference_of_two_sets(seed):
 @pytest.mark.parametrize("strength", [0.0, 2.0])
 def test_probabilities_are_those_of_all_sets(seed, strength):
     given = draw_alternatives(seed, strength=strength)
-    np.testing.assert_allclose(sample_alternatives(given, seed), count_all(given), atol=0.08)
+    np.testing.assert_allclose(sample_alternatives(given, seed).chances, count_all(given), atol=0.08)
 
 
 def test_at_most_one_alternative_of_a_family_is_true():
-    chance = sample_alternatives(draw_alternatives(1))
+    chance = sample_alternatives(draw_alternatives(1)).chances
     assert all(chance[draw_alternatives(1).family == family].sum() <= 1.0 + 1e-9 for family in range(len(SIZES)))
 
 
@@ -81,7 +81,7 @@ def test_coefficient_of_the_wrong_sign_is_improbable():
         Alternatives(**{**vars(given), "match": -given.match, "positive": np.full(len(given.family), positive)})
         for positive in (True, False)
     )
-    assert sample_alternatives(negative).sum() < 0.5 * sample_alternatives(either).sum()
+    assert sample_alternatives(negative).chances.sum() < 0.5 * sample_alternatives(either).chances.sum()
 
 
 def test_effect_of_all_cars_is_found_from_a_start_in_single_cars():
@@ -105,6 +105,6 @@ def test_effect_of_all_cars_is_found_from_a_start_in_single_cars():
         }
     )
     for seed in range(8):
-        chance = sample_alternatives(given, seed)
+        chance = sample_alternatives(given, seed).chances
         assert chance[0] > 0.95
         assert chance[1:].max() < 0.2

@@ -1,0 +1,62 @@
+"""What a score says of a known effect, on the recording of the autumn."""
+
+import json
+
+import pytest
+
+from tests.support.commands import called, refused
+from tests.support.paths import RECORDINGS
+
+
+@pytest.fixture(scope="module")
+def score(tmp_path_factory):
+    """Return the JSON, the page and the text of a score."""
+    folder = tmp_path_factory.mktemp("score")
+    files = folder / "score.json", folder / "score.html"
+    options = ["--effect", "wet_road,regen_full_battery", "--size", "4%", "--json", files[0], "--html", files[1]]
+    text, _, code = called("spikein", RECORDINGS / "autumn.mcap", "--score", *options)
+    assert code == 0
+    return json.loads(files[0].read_text()), files[1].read_text(), text
+
+
+def test_effect_that_the_data_show_is_named_first_with_its_size(score):
+    (one,) = [each for each in score[0]["scores"] if each["effect"] == "wet_road"]
+    assert one["visible"]
+    assert one["new_rank"] == 1
+    assert one["probability"] > 0.9
+    assert one["in_credible_set"]
+    assert one["ratio"] == pytest.approx(1.0, abs=0.25)
+    assert one["way"] > 0.7
+
+
+def test_placebo_names_what_the_recording_hides(score):
+    assert "headwind" in [each["effect"] for each in score[0]["placebo"]]
+
+
+def test_share_counts_what_the_data_can_show(score):
+    (found,) = score[0]["found"]
+    visible = [each for each in score[0]["scores"] if each["visible"] and each["plausible"]]
+    assert found["visible"] == len(visible)
+    assert found["tried"] == len(score[0]["scores"])
+    assert found["named"] == sum(each["rank"] is not None for each in visible)
+
+
+def test_page_and_terminal_show_the_outcomes(score):
+    _, page, text = score
+    assert "Outcome by effect and size" in page
+    assert "Energy of the effect over that of the cars [%]" in page
+    assert "Without any effect put in, the diagnosis names" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--score", "--out", "spiked.mcap"], "give one of the two"),
+        ([], "give one of the two"),
+        (["--score", "--effect", "tail_wind"], "no hidden effect is called 'tail_wind'"),
+        (["--out", "spiked.mcap"], "--effect is missing"),
+    ],
+)
+def test_request_that_cannot_be_met_is_refused_in_one_line(options, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert words in refused(capsys, "spikein", RECORDINGS / "shift.mcap", *options)
