@@ -11,7 +11,7 @@ from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.deviation_words import MONTH, rank_deviation
-from socast.core.diagnose.inference.posterior import Finding, Inference
+from socast.core.diagnose.inference.posterior import Inference, LikelyCause
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.core.diagnose.inference.window_model import CARS
 from socast.core.diagnose.records import CarDeviation, CauseProbability, DirectionSpread, RankedCar, ShiftSize
@@ -67,7 +67,7 @@ def describe_deviations(seen: Windows, inference: Inference, *, dated: bool) -> 
     return sorted((one for one in found if dated or one.since is None), key=rank_deviation)
 
 
-def _describe(seen: Windows, inference: Inference, one: Finding) -> CarDeviation:
+def _describe(seen: Windows, inference: Inference, one: LikelyCause) -> CarDeviation:
     """Return the record of a finding within a scope."""
     family, when, effect = one.family, one.when, effects.get(one.variant)
     coefficient = describe_coefficient(effect, one.size.estimate)
@@ -122,7 +122,7 @@ def _describe(seen: Windows, inference: Inference, one: Finding) -> CarDeviation
     )
 
 
-def _average_evidence(one: Finding) -> float:
+def _average_evidence(one: LikelyCause) -> float:
     """Return the logarithm of the Bayes factor of a family against none, averaged over its alternatives."""
     prior = one.family.prior
     chance = min(max(one.probability, exp(-700.0)), 1.0 - 1e-15)
@@ -134,7 +134,7 @@ def _scale(estimate: Estimate, factor: float) -> Estimate:
     return Estimate(estimate.value * factor, abs(factor) * estimate.error, estimate.freedom)
 
 
-def _find_dates(one: Finding) -> tuple[str, str]:
+def _find_dates(one: LikelyCause) -> tuple[str, str]:
     """Return the shortest range of dates that holds 90 % of the probability of a change of this form."""
     places = one.family.places
     rows = [at for at, place in enumerate(places) if place.kind == one.when.kind]
@@ -148,7 +148,7 @@ def _find_dates(one: Finding) -> tuple[str, str]:
     return str(early.before or early.since), str(late.since)
 
 
-def _sum_scope(seen: Windows, inference: Inference, one: Finding) -> _Scope:
+def _sum_scope(seen: Windows, inference: Inference, one: LikelyCause) -> _Scope:
     """Return sums over the windows within the scope of a finding."""
     columns = inference.columns
     weight = np.zeros(len(columns.start))
@@ -165,7 +165,7 @@ def _sum_scope(seen: Windows, inference: Inference, one: Finding) -> _Scope:
     )
 
 
-def _list_shifts(inference: Inference, one: Finding) -> list[ShiftSize]:
+def _list_shifts(inference: Inference, one: LikelyCause) -> list[ShiftSize]:
     """Return the size of a cause on each day of a car, estimated from this day alone, for a figure."""
     columns, model = inference.columns, inference.model
     at = columns.names.index(one.variant)
@@ -190,7 +190,7 @@ def _list_shifts(inference: Inference, one: Finding) -> list[ShiftSize]:
     return out
 
 
-def _is_same(known: Floats, one: Finding) -> bool:
+def _is_same(known: Floats, one: LikelyCause) -> bool:
     """Return whether a known column is that of a finding, apart from its unit."""
     size = float(np.sqrt((known @ known) * (one.column @ one.column)))
     return size > 0.0 and abs(float(known @ one.column)) > (1.0 - 1e-9) * size

@@ -36,7 +36,7 @@ from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.free_form.search import Suggestion, suggest_term
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
-from socast.core.diagnose.inference.scopes import Event
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.partial_residual import compute_partial_residual
 from socast.core.diagnose.projection import BaseProjection
@@ -93,7 +93,7 @@ def diagnose(
     least_gain: float = 0.0,
     places: bool = True,
     groups: Mapping[str, str] | None = None,
-    events: Sequence[Event] = (),
+    events: Sequence[KnownEvent] = (),
     seed: int = 0,
     dated: bool = True,
     report: Callable[[float, str], None] = lambda *_: None,
@@ -112,7 +112,7 @@ def diagnose(
         Whether to test whether single cars deviate from their siblings, and what changed since a date.
     groups : mapping of str to str, optional
         Vehicle -> its group, such as a depot.
-    events : sequence of Event
+    events : sequence of KnownEvent
         Known events after which a car may have changed; each is a candidate of its own.
     dated : bool
         Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date, and of
@@ -145,7 +145,7 @@ def _diagnose(
     without: Collection[str],
     least_gain: float,
     groups: Mapping[str, str] | None,
-    events: Sequence[Event],
+    events: Sequence[KnownEvent],
     *,
     places: bool,
     seed: int,
@@ -306,7 +306,8 @@ def _list_remaining(inference: Inference, missing: Sequence[MissingEffect]) -> l
     named = {one.effect for one in missing}
     chances = {name: chance for name, chance in inference.chances.items() if name not in named and chance >= REMAINING}
     none = float(np.prod([1.0 - chance for chance in chances.values()]))
-    return _rank_causes(chances | {NONE: none})
+    scale = (1.0 - none) / max(sum(chances.values()), 1e-300)
+    return _rank_causes({name: scale * chance for name, chance in chances.items()} | {NONE: none})
 
 
 def _rank_causes(chances: Mapping[str, float]) -> list[CauseProbability]:

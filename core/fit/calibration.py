@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 from scipy.optimize import nnls
-from scipy.stats import t as student_t
+from scipy.special import gammaln, stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.fit.block_sums import build_design
@@ -162,13 +162,14 @@ def expect_interval(seen: Mapping[str, HeldOutErrors]) -> PredictionInterval | N
     over = np.minimum(np.abs(every.error) / (every.terms @ np.array(PRIOR_SCALE)), _MOST_OVER)
     factor = (PRIOR_RIDES + float(over.sum())) / (PRIOR_RIDES + rides)
     scale = np.array(PRIOR_SCALE) * factor
-    student = student_t(_PRIOR_FREEDOM + rides)
-    mean = student.expect(np.abs)
+    freedom = _PRIOR_FREEDOM + rides
+    mean = 2.0 * np.sqrt(freedom / np.pi) / (freedom - 1.0)  # of the absolute value of Student's variable
+    mean *= np.exp(gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0))
     return PredictionInterval(
         scales={key: _three(scale) for key in seen} | {ANY: _three(scale * _UNSEEN_FACTOR)},
         distances_km=(0.0,),
         levels=QUANTILE_LEVELS,
-        quantiles=(tuple((student.ppf(QUANTILE_LEVELS) / mean).tolist()),),
+        quantiles=(tuple((stdtrit(freedom, QUANTILE_LEVELS) / mean).tolist()),),
         rides=rides,
     )
 

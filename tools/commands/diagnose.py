@@ -18,7 +18,7 @@ from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from socast.core.diagnose.inference.events import read_events
 from socast.core.diagnose.inference.groups import read_groups
-from socast.core.diagnose.inference.scopes import Event
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
@@ -264,7 +264,7 @@ def _diagnose(
     windows: pd.DataFrame,
     least_gain: float,
     groups: Mapping[str, str] | None = None,
-    events: Sequence[Event] = (),
+    events: Sequence[KnownEvent] = (),
     leave_out: Collection[str] | None = None,
     *,
     dated: bool = True,

@@ -17,7 +17,7 @@ from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.deviations import list_credible
 from socast.core.diagnose.error_steps import compute_held_out_errors
-from socast.core.diagnose.inference.posterior import Finding, Inference, infer_missing
+from socast.core.diagnose.inference.posterior import Inference, LikelyCause, infer_missing
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.selection import MissingEffect, Selection, select_missing
@@ -25,6 +25,7 @@ from socast.core.effects.declaration import VARIANT
 from socast.core.errors import SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_names
+from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate
@@ -34,6 +35,7 @@ from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import NEEDS_WEATHER, write_spiked
 from socast.tools.spikein.records import FoundShare, PlaceboName, SpikeScore, SpikeScores
 from socast.tools.spikein.spike import Spike
+from socast.tools.terminal.ride_source import tabulate
 
 RECIPE: Final = "road_load_constant"
 """Recipe of the diagnosed model."""
@@ -55,7 +57,7 @@ class Study(NamedTuple):
     seen: Windows
     inference: Inference
     selection: Selection
-    scoped: tuple[Finding, ...]
+    scoped: tuple[LikelyCause, ...]
 
     def list_names(self) -> list[tuple[str, str]]:
         """Return each named effect with where it is missing, in the order of the report."""
@@ -74,7 +76,7 @@ class Study(NamedTuple):
         return column * size.value, abs(size.error / size.value)
 
 
-def _word_scope(found: Finding) -> str:
+def _word_scope(found: LikelyCause) -> str:
     """Return where a finding holds."""
     when = f" since {found.when.since}" if found.when.since else ""
     return f"{found.family.who}{when}"
@@ -161,10 +163,11 @@ def _get_placebo(placebos: dict[int | None, Study], spike: Spike) -> Study:
 
 def _make_tables(recordings: Sequence[Path]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables of recordings."""
-    import socast  # noqa: PLC0415 - the package imports this module's siblings
-
-    tables = socast.make_tables(*recordings)
-    return tables.rides, tables.windows
+    pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False, two_sided=True)
+    parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
+    tabulate([McapSource(path) for path in recordings], pipeline, lambda *tables: parts.append(tables))
+    rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
+    return rides, windows
 
 
 def _score_case(recordings: Sequence[Path], spike: Spike, placebo: Study, file: Path) -> SpikeScore | str:

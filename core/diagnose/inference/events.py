@@ -6,7 +6,7 @@ from typing import Final
 
 import pandas as pd
 
-from socast.core.diagnose.inference.scopes import Event
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import ModelError
 
 DATE: Final = "date"
@@ -14,7 +14,7 @@ VEHICLE: Final = "vehicle_id"
 """Columns of the file; the second one may be absent, and empty for an event of all cars."""
 
 
-def read_events(path: Path) -> list[Event]:
+def read_events(path: Path) -> list[KnownEvent]:
     """Return the events of a CSV file with the columns `date`, the first UTC date after the event, and `vehicle_id`."""
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
@@ -26,7 +26,7 @@ def read_events(path: Path) -> list[Event]:
     out = []
     for row, (day, vehicle) in enumerate(zip(table[DATE].tolist(), vehicles, strict=True), start=2):
         try:
-            out.append(Event(date.fromisoformat(day.strip()).isoformat(), vehicle.strip()))
+            out.append(KnownEvent(date.fromisoformat(day.strip()).isoformat(), vehicle.strip()))
         except ValueError:
             raise ModelError(f"{path}, line {row}: the date is {day!r}; write it as 2023-05-05") from None
     return out

@@ -25,7 +25,7 @@ from scipy.special import log_ndtr
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
-from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Event, Family, Place, list_families
+from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Family, KnownEvent, Timing, list_families
 from socast.core.diagnose.inference.window_columns import Expected, WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
 from socast.core.effects.declaration import VARIANT
@@ -61,7 +61,7 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Finding:
+class LikelyCause:
     """Hold a family of which one alternative is probably true.
 
     Parameters
@@ -79,7 +79,7 @@ class Finding:
     dates : dict of int to float
         Probability of each place of the family, given that one is true. [1]
     place : int
-        Place of the best alternative.
+        Timing of the best alternative.
     column : (n,) float
         Energy of the best alternative per unit of its coefficient. [kWh]
     """
@@ -100,7 +100,7 @@ class Finding:
         return self.variant.partition(VARIANT)[0]
 
     @property
-    def when(self) -> Place:
+    def when(self) -> Timing:
         """When the best alternative acts."""
         return self.family.places[self.place]
 
@@ -111,7 +111,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class ExpectedFinding:
+class ExpectedCause:
     """Hold what the data tell of an effect that physics expects in every car, and a model lacks."""
 
     effect: str
@@ -132,9 +132,9 @@ class Inference:
 
     Parameters
     ----------
-    findings : tuple of Finding
+    findings : tuple of LikelyCause
         Families whose probability exceeds `LEAST`, the most probable first.
-    expected : tuple of ExpectedFinding
+    expected : tuple of ExpectedCause
         Effects that physics expects.
     alone : dict of str to (str, float)
         Effects tested in all cars -> best variant alone, before any effect is known, and its standard errors. [1]
@@ -148,8 +148,8 @@ class Inference:
         The windows beside all likely findings.
     """
 
-    findings: tuple[Finding, ...]
-    expected: tuple[ExpectedFinding, ...]
+    findings: tuple[LikelyCause, ...]
+    expected: tuple[ExpectedCause, ...]
     alone: dict[str, tuple[str, float]]
     chances: dict[str, float]
     unidentified: frozenset[str]
@@ -166,7 +166,7 @@ def infer_missing(
     columns: WindowColumns,
     inside: Sequence[str] = (),
     groups: Sequence[tuple[str, Ints]] = (),
-    events: Sequence[Event] = (),
+    events: Sequence[KnownEvent] = (),
     *,
     scopes: bool = True,
     seed: int = 0,
@@ -180,7 +180,7 @@ def infer_missing(
         Effects that the model has in all cars.
     groups : sequence of (str, (k,) int64)
         Name and vehicle-days of each group of vehicle-days.
-    events : sequence of Event
+    events : sequence of KnownEvent
         Known events, each a candidate of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
@@ -274,7 +274,7 @@ class _Examiner:
             self._models[key] = self.model.add(columns).relearn(RELEARNED)
         return self._models[key]
 
-    def examine(self, number: int, sampled: float) -> Finding:
+    def examine(self, number: int, sampled: float) -> LikelyCause:
         """Return the odds and the size of the best alternative of a family beside the other likely ones."""
         given, family, at = self.given, self.families[number], self.best[number]
         columns = self.model.columns
@@ -290,7 +290,7 @@ class _Examiner:
         name = columns.names[int(given.effect[at])]
         rows = np.flatnonzero(given.family == number)
         of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)
-        return Finding(
+        return LikelyCause(
             family=family,
             probability=_invert_odds(odds),
             evidence=evidence,
@@ -347,7 +347,7 @@ def _measure_size(model: WindowModel, at: int, unit: float, mean: float = 0.0) -
     return Size(Estimate(mean + unit * value, abs(unit) * error, inf), spread)
 
 
-def _examine_expected(model: WindowModel, expected: Expected) -> ExpectedFinding:
+def _examine_expected(model: WindowModel, expected: Expected) -> ExpectedCause:
     """Return the odds of an expected effect: the density of a coefficient of zero before and after the data."""
     at = model.shared + expected.at
     size = _measure_size(model, at, expected.sd, expected.mean)
@@ -356,7 +356,7 @@ def _examine_expected(model: WindowModel, expected: Expected) -> ExpectedFinding
     evidence = 0.5 * ((zero - mean) ** 2 / variance + log(variance) - zero**2)
     odds = evidence + log(PRIOR_EFFECT) - log1p(-PRIOR_EFFECT)
     columns = model.columns
-    return ExpectedFinding(
+    return ExpectedCause(
         effect=expected.effect,
         probability=_invert_odds(odds) if size.estimate.value > 0.0 else 0.0,
         evidence=evidence,

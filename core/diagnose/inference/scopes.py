@@ -50,7 +50,7 @@ LEAST_SIBLINGS: Final = 2
 """Least number of other cars of the same model against which a car is held."""
 
 
-class Place(NamedTuple):
+class Timing(NamedTuple):
     """Hold when an effect acts, within the days of a family.
 
     Parameters
@@ -70,7 +70,7 @@ class Place(NamedTuple):
     begin: float | None = None
 
 
-class Event(NamedTuple):
+class KnownEvent(NamedTuple):
     """Hold a known event that may have changed a car.
 
     Parameters
@@ -108,7 +108,7 @@ class Family(NamedTuple):
     of: Of
     effects: tuple[int, ...]
     days: Ints
-    places: tuple[Place, ...]
+    places: tuple[Timing, ...]
     prior: float
     size: float
     either_sign: bool
@@ -123,7 +123,7 @@ def list_families(
     columns: WindowColumns,
     inside: Sequence[str],
     groups: Sequence[tuple[str, Ints]] = (),
-    events: Sequence[Event] = (),
+    events: Sequence[KnownEvent] = (),
     *,
     scopes: bool = True,
 ) -> list[Family]:
@@ -135,7 +135,7 @@ def list_families(
         Effects that the model has, which are tested within scopes only.
     groups : sequence of (str, (k,) int64)
         Name and vehicle-days of each group.
-    events : sequence of Event
+    events : sequence of KnownEvent
         Known events, each a step of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
@@ -145,7 +145,7 @@ def list_families(
     for at, name in enumerate(columns.names):
         variants.setdefault(name.partition(VARIANT)[0], []).append(at)
     expected = {each.effect for each in columns.expected}
-    always = (Place("always", np.ones(len(everywhere))),)
+    always = (Timing("always", np.ones(len(everywhere))),)
     out = [
         Family(name, "all", tuple(at), everywhere, always, PRIOR_EFFECT, ALWAYS_SIZE, effects.get(name).sign == 0)
         for name, at in variants.items()
@@ -158,7 +158,7 @@ def list_families(
     return out
 
 
-def _list_events(columns: WindowColumns, declared: Mapping[str, int], events: Sequence[Event]) -> list[Family]:
+def _list_events(columns: WindowColumns, declared: Mapping[str, int], events: Sequence[KnownEvent]) -> list[Family]:
     """Return the families of known events that lie between dates with drives of the cars concerned."""
     out: list[Family] = []
     changing = tuple(declared[name] for name in CHANGING if name in declared)
@@ -169,7 +169,7 @@ def _list_events(columns: WindowColumns, declared: Mapping[str, int], events: Se
         if not changing or min(len(set(columns.date_of_day[days[side]])) for side in (there, ~there)) < LEAST_DATES:
             continue
         before = columns.dates[int(columns.date_of_day[days[~there]].max())]
-        place = Place("step", there.astype(np.float64), event.date, before, float(columns.start[days[there]].min()))
+        place = Timing("step", there.astype(np.float64), event.date, before, float(columns.start[days[there]].min()))
         who, of = (cars[0], "car") if len(cars) == 1 else ("all", "all")
         out.append(_scope(who, cast("Of", of), changing, days, (place,), PRIOR_EVENT))
     return out
@@ -202,17 +202,17 @@ def _list_scoped(
     return out
 
 
-def _scope(who: str, of: Of, which: tuple[int, ...], days: Ints, places: tuple[Place, ...], prior: float) -> Family:
+def _scope(who: str, of: Of, which: tuple[int, ...], days: Ints, places: tuple[Timing, ...], prior: float) -> Family:
     """Return a family within a scope, whose coefficients may have either sign."""
     return Family(who, of, which, days, places, prior, SCOPED_SIZE, either_sign=True)
 
 
-def _always(days: Ints) -> tuple[Place, ...]:
+def _always(days: Ints) -> tuple[Timing, ...]:
     """Return the place of an effect that acts on all of some days."""
-    return (Place("always", np.ones(len(days))),)
+    return (Timing("always", np.ones(len(days))),)
 
 
-def _list_changes(columns: WindowColumns, days: Ints, *, ramps: bool = False) -> tuple[Place, ...]:
+def _list_changes(columns: WindowColumns, days: Ints, *, ramps: bool = False) -> tuple[Timing, ...]:
     """Return the steps, and the ramps where they are wanted, at dates of some vehicle-days."""
     date, start = columns.date_of_day[days], columns.start[days]
     dates = np.unique(date)
@@ -223,14 +223,14 @@ def _list_changes(columns: WindowColumns, days: Ints, *, ramps: bool = False) ->
     for first in firsts.tolist():
         there = date >= dates[first]
         name, before = columns.dates[dates[first]], columns.dates[dates[first - 1]]
-        out.append(Place("step", there.astype(np.float64), name, before, float(start[there].min())))
+        out.append(Timing("step", there.astype(np.float64), name, before, float(start[there].min())))
     for first in [0, *firsts.tolist()] if ramps and len(firsts) else []:
         if first >= len(dates) - LEAST_DATES:
             continue
         begin = float(start[date >= dates[first]].min())
         weight = np.maximum(start - begin, 0.0) / max(float(start.max()) - begin, SECONDS_PER_DAY)
         name, before = columns.dates[dates[first]], columns.dates[dates[max(first - 1, 0)]]
-        out.append(Place("ramp", weight, name, before, begin))
+        out.append(Timing("ramp", weight, name, before, begin))
     return tuple(out)
 
 

@@ -245,7 +245,7 @@ def test_nothing_is_said_of_what_began_at_an_invented_date(small, monkeypatch, d
     found = [CarDeviation(who="a"), CarDeviation(who="b", since="2020-06-22")]
     given = {one.who: one for one in found}
     scoped = [SimpleNamespace(is_likely=True, family=SimpleNamespace(is_scoped=True, who=one.who)) for one in found]
-    monkeypatch.setattr(deviations, "_describe", lambda _, __, one, ___: given[one.family.who])
+    monkeypatch.setattr(deviations, "_describe", lambda _, __, one: given[one.family.who])
     said = deviations.describe_deviations(None, SimpleNamespace(findings=scoped), dated=dated)
     assert said == (found if dated else found[:1])
     tables, model = small

@@ -13,14 +13,14 @@ def score(tmp_path_factory):
     """Return the JSON, the page and the text of a score."""
     folder = tmp_path_factory.mktemp("score")
     files = folder / "score.json", folder / "score.html"
-    options = ["--effect", "wet_road,regen_full_battery", "--size", "4%", "--json", files[0], "--html", files[1]]
+    options = ["--effect", "payload,regen_full_battery", "--size", "4%", "--json", files[0], "--html", files[1]]
     text, _, code = called("spikein", RECORDINGS / "autumn.mcap", "--score", *options)
     assert code == 0
     return json.loads(files[0].read_text()), files[1].read_text(), text
 
 
 def test_effect_that_the_data_show_is_named_first_with_its_size(score):
-    (one,) = [each for each in score[0]["scores"] if each["effect"] == "wet_road"]
+    (one,) = [each for each in score[0]["scores"] if each["effect"] == "payload"]
     assert one["visible"]
     assert one["new_rank"] == 1
     assert one["probability"] > 0.9

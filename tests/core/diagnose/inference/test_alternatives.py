@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 from socast.core.diagnose.inference.alternatives import select_alternatives, weigh_alone
-from socast.core.diagnose.inference.scopes import Family, Place
+from socast.core.diagnose.inference.scopes import Family, Timing
 from socast.core.diagnose.inference.window_model import WindowModel
 from tests.support.random_columns import build_covariance, draw_columns
 
@@ -16,9 +16,9 @@ from tests.support.random_columns import build_covariance, draw_columns
 def make_families(columns):
     """Return an effect in all cars, one of two effects in one car, and one that grows in all cars."""
     days, of_car = np.arange(len(columns.start)), np.flatnonzero(columns.car_of_day == 1)
-    always = Place("always", np.ones(len(days)))
-    half = Place("always", np.full(len(of_car), 0.5))
-    ramp = Place("ramp", columns.start / columns.start.max(), columns.dates[0], columns.dates[0], 0.0)
+    always = Timing("always", np.ones(len(days)))
+    half = Timing("always", np.full(len(of_car), 0.5))
+    ramp = Timing("ramp", columns.start / columns.start.max(), columns.dates[0], columns.dates[0], 0.0)
     return [
         Family("headwind", "all", (0,), days, (always,), 0.1, 0.5, either_sign=False),
         Family("taxi-1", "car", (1, 2), of_car, (half,), 0.01, 0.25, either_sign=True),

@@ -3,16 +3,16 @@
 import pytest
 
 from socast.core.diagnose.inference.events import read_events
-from socast.core.diagnose.inference.scopes import Event
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import ModelError
 
 
 def test_file_names_dates_and_cars(tmp_path):
     file = tmp_path / "events.csv"
     file.write_text("date,vehicle_id,what\n2023-05-05,car-1,new tyres\n2023-06-01,,\n")
-    assert read_events(file) == [Event("2023-05-05", "car-1"), Event("2023-06-01")]
+    assert read_events(file) == [KnownEvent("2023-05-05", "car-1"), KnownEvent("2023-06-01")]
     file.write_text("date\n2023-05-05\n")
-    assert read_events(file) == [Event("2023-05-05")]
+    assert read_events(file) == [KnownEvent("2023-05-05")]
 
 
 @pytest.mark.parametrize(
