@@ -6,7 +6,7 @@
 3. The odds of each finding are those of two models, with and without it, whose spreads are learned each time. The
    windows have the weights of the model without it.
 
-The size of a finding has a standard error that allows its column to act differently on different days.
+The size of a finding has a standard error that allows its column to act differently on different dates.
 
 References
 ----------
@@ -42,7 +42,9 @@ MOST: Final = 12
 RELEARNED: Final = 15
 """Number of steps of the search for the spreads with and without a finding."""
 PRIOR_DAYS: Final = 4.0
-"""Days that the expected variance between days counts as."""
+"""Dates that the expected variance between dates counts as."""
+SURE: Final = 1.96
+"""Standard errors by which the coefficient of a reported finding differs from zero."""
 
 
 class Size(NamedTuple):
@@ -51,13 +53,18 @@ class Size(NamedTuple):
     Parameters
     ----------
     estimate : Estimate
-        Its standard error allows for differences between days.
+        Its standard error allows for differences between dates.
     spread : float
-        Variance between days over the expected one, at least 1. [1]
+        Variance between dates over the expected one, at least 1. [1]
     """
 
     estimate: Estimate
     spread: float
+
+    @property
+    def excludes_zero(self) -> bool:
+        """Whether the 95 % interval of the coefficient excludes zero."""
+        return abs(self.estimate.value) > SURE * self.estimate.error
 
 
 @dataclass(frozen=True)
@@ -106,8 +113,8 @@ class LikelyCause:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is reported."""
-        return self.probability >= LIKELY
+        """Whether it is reported: it is likely, and its 95 % interval excludes zero."""
+        return self.probability >= LIKELY and self.size.excludes_zero
 
 
 @dataclass(frozen=True)
@@ -122,8 +129,8 @@ class ExpectedCause:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is reported, if it is missing."""
-        return self.probability >= LIKELY
+        """Whether it is reported: it is likely, and its 95 % interval excludes zero."""
+        return self.probability >= LIKELY and self.size.excludes_zero
 
 
 @dataclass(frozen=True)
@@ -326,20 +333,21 @@ def _invert_odds(odds: float) -> float:
 
 
 def _measure_size(model: WindowModel, at: int, unit: float, mean: float = 0.0) -> Size:
-    """Return a coefficient of a model, `at` its place, with a standard error that vehicle-days show.
+    """Return a coefficient of a model, `at` its place, with a standard error that dates show.
 
     Notes
     -----
-    With ψ_d the part of the coefficient that vehicle-day d adds, the variance is the greater of the posterior one and
-    that times Σ ψ_d² over its expectation, which counts as `PRIOR_DAYS` days.
+    With ψ_d the part of the coefficient that date d adds, the variance is the greater of the posterior one and that
+    times Σ ψ_d² over its expectation, which counts as `PRIOR_DAYS` dates. All cars share the weather of a date.
     """
     scale, inverse = model.scale, model.covariance()[at]
     source, place = model.coordinates
     sums = model.of_days.sums[:, source][:, :, source]
     row = np.append(inverse * scale[:-1], 0.0)[place]
     residual = np.append(-model.coefficients * scale[:-1], 1.0)[place]
-    parts = np.einsum("da,dab,db->d", row, sums, residual)
-    expected = np.einsum("da,dab,db->d", row, sums, row)
+    date = model.columns.date_of_day
+    parts = np.bincount(date, np.einsum("da,dab,db->d", row, sums, residual))
+    expected = np.bincount(date, np.einsum("da,dab,db->d", row, sums, row))
     total = max(float(expected.sum()), 1e-300)
     days = total**2 / max(float((expected**2).sum()), 1e-300)
     spread = max(1.0, (PRIOR_DAYS + days * float((parts**2).sum()) / total) / (PRIOR_DAYS + days))
