@@ -147,7 +147,7 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
     ]
     for one in inference.expected:
         low, _ = one.size.estimate.interval
-        if one.is_likely and low >= min(abs(limit) for limit in _range(one.effect)):
+        if one.is_likely and low >= _find_least(one.effect):
             found.append(
                 MissingEffect(
                     one.effect,
@@ -172,8 +172,13 @@ def list_scoped(inference: Inference, *, dated: bool = True) -> list[MissingEffe
 
 def _is_large(effect: str, size: Estimate) -> bool:
     """Return whether a coefficient reaches its plausible range, by absolute value."""
-    least = min(abs(limit) for limit in _range(effect))
-    return max(abs(limit) for limit in size.interval) >= least
+    return max(abs(limit) for limit in size.interval) >= _find_least(effect)
+
+
+def _find_least(effect: str) -> float:
+    """Return the smallest plausible coefficient of an effect, by absolute value; 0 where either sign is plausible."""
+    low, high = _range(effect)
+    return 0.0 if low < 0.0 < high else min(abs(low), abs(high))
 
 
 def _range(effect: str) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from PIL import Image
+from playwright.sync_api import expect
 
 from socast.core.wire.messages import Finding, Forecast, Message, encode
 from socast.tools.bench.workbench import BoardSource, make_fleet_messages
@@ -257,7 +258,7 @@ def test_car_whose_shift_is_over_is_named_so_and_has_no_risk(browser):
         visit = Visit(browser, server)
         visit.go("#/fleet?show=shift over")
         row = visit.page.locator(".fleet-table tr.car")
-        row.wait_for()
+        expect(row).to_have_count(1)
         assert row.text_content().startswith("taxi-0002")
         assert row.text_content().endswith("shift over")
         assert row.locator("td").nth(3).text_content() == "–"
