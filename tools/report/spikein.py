@@ -51,13 +51,13 @@ def write(result: SpikeScores, path: Path) -> None:
 def describe(result: SpikeScores) -> list[str]:
     """Return what of each size is found, and what the recording shows without any effect put in."""
     parts = [
-        f"of {format_percent(each.size)} {format_percent(each.share, 0)} ({each.named} of {each.visible})"
+        f"{each.named} of {each.visible} at a size of {format_percent(each.size)}"
         for each in result.found
         if each.visible
     ]
     lines = []
     if parts:
-        lines.append(f"Effects that these data can show are named: {', '.join(parts)}.")
+        lines.append(f"Of the effects that these data can show, the diagnosis names {', '.join(parts)}.")
     else:
         lines.append("These data can show none of the effects at these sizes: try larger ones, or record more days.")
     if result.placebo:
@@ -73,8 +73,8 @@ def describe(result: SpikeScores) -> list[str]:
 def build_sections(result: SpikeScores) -> list[Section]:
     """Return the sections of the scores."""
     about = (
-        f"{format_count(result.rides)} rides of {format_count(result.cars)} cars on {format_count(result.days)} "
-        f"vehicle-days; the diagnosed model is {result.recipe}, fitted to each recording."
+        f"{format_count(result.rides)} rides of {format_count(result.cars)} {'car' if result.cars == 1 else 'cars'} on "
+        f"{format_count(result.days)} vehicle-days; the diagnosed model is {result.recipe}, fitted to each recording."
     )
     placebo = tabulate_records(
         "The recording as it is", result.placebo, PlaceboName, formats={**FORMATS, "coefficient": format_coefficient}
@@ -190,6 +190,8 @@ def draw_outcomes(scores: Sequence[SpikeScore]) -> go.Figure:
                 )
             )
     figure = apply_layout(go.Figure(traces), 120 + 24 * len(names))
+    figure.layout.showlegend = True  # plotly hides the legend of a single outcome
+    figure.layout.xaxis.tickvals = sorted({100.0 * score.size for score in scores})
     figure.layout.xaxis.title.text = "Energy of the effect over that of the cars [%]"
     figure.layout.yaxis.categoryorder = "array"
     figure.layout.yaxis.categoryarray = [escape_label(name) for name in names]
