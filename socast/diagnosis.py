@@ -8,7 +8,7 @@ from msgspec.structs import asdict as _asdict
 from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
 from socast.core.diagnose.diagnosis import diagnose as _diagnose
-from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.gains import LEAST_GAIN
 from socast.core.fit.measured_rows import join_tables as _join
 from socast.core.models import LinearModel
 from socast.results import AdditionTrial, Diagnosis, _show

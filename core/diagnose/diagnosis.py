@@ -159,7 +159,7 @@ def _diagnose(
     report(0.03, "locating the error")
     location = locate_error(seen, base)
     report(0.3, "weighing the effects")
-    ignored = np.flatnonzero(np.any([each.rows for each in episodes], axis=0)) if episodes else None
+    ignored = np.any([each.rows for each in episodes], axis=0) if episodes else None
     columns = gather_window_columns(seen, model, without, ignored)
     inference = infer_missing(
         columns,

@@ -36,8 +36,8 @@ from scipy.special import gammaln, log_ndtr, stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.diagnose.records import FoundEpisode
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.fit.row_noise import estimate_variance

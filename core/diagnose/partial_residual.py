@@ -21,8 +21,8 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.diagnose.records import CarResidual, PartialResidual
 from socast.core.diagnose.selection import MissingEffect, Selection
 from socast.core.errors import ModelError

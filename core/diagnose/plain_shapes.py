@@ -6,8 +6,8 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.models.derived_features import compute_sun_sine
 

@@ -18,8 +18,8 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.gains import LEAST_GAIN, LEAST_LEFT, compute_window_gains, explain_by_columns
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, explain_by_columns
 from socast.core.diagnose.selection import MissingEffect, Selection
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import sum_over_clusters

@@ -13,9 +13,9 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import Candidates, find_coefficient_limits
+from socast.core.diagnose.gains import ResidualSpace, compute_correlation, compute_held_out_gain
 from socast.core.diagnose.inference.posterior import Inference
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.diagnose.ranking import ResidualSpace, compute_correlation, compute_held_out_gain
 from socast.core.effects.declaration import VARIANT
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate

@@ -31,7 +31,7 @@ def draw_columns(seed: int, *, cars: int = 3, dates: int = 3, rides: int = 2, wi
         names=NAMES,
         effects=draw(len(NAMES)) / np.array([find_largest(name) for name in NAMES]),
         parts=np.abs(draw(4)),
-        ignored=np.zeros(n, dtype=np.int64),
+        ignored=np.zeros(n, dtype=np.bool_),
         ride=at // windows,
         day=at // (windows * rides),
         day_of_ride=np.arange(days * rides) // rides,

@@ -12,7 +12,7 @@ from socast.core import models
 from socast.core.diagnose.add import add
 from socast.core.diagnose.add.records import UNDECIDED
 from socast.core.diagnose.add.terms import build_term_columns
-from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.gains import LEAST_GAIN
 from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.records import ResidualSurvey

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
@@ -47,8 +48,6 @@ ALIKE: Final = 0.4
 """Least correlation of an effect of the library with what was put in for it to be its name."""
 SAME: Final = {"tyre_pressure": ("tyre_pressure", "brake_drag"), "brake_drag": ("brake_drag", "tyre_pressure")}
 """Effects that have one column in a car of constant mass."""
-SURE: Final = 1.96
-"""Standard errors of a 95 % interval."""
 
 
 class Study(NamedTuple):
@@ -218,11 +217,17 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
         coefficient=None if estimate is None else describe_coefficient(effects.get(variant), estimate),
         true_coefficient=None if form is None else form[1],
         ratio=ratio,
-        covered=None if ratio is None or error is None else abs(ratio - 1.0) <= SURE * error,
+        covered=None if ratio is None or error is None else _holds_one(Estimate(ratio, error, inf)),
         found_since=since,
         way=_measure_way(spiked, truth, right) if not scoped else None,
         others=[f"{effect} ({where})" for effect, where in new if (effect, where) not in ours],
     )
+
+
+def _holds_one(ratio: Estimate) -> bool:
+    """Return whether the 95 % interval of a ratio holds 1."""
+    low, high = ratio.interval
+    return low <= 1.0 <= high
 
 
 def _subtract(spiked: Windows, placebo: Windows) -> Floats:

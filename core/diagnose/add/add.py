@@ -65,7 +65,7 @@ from socast.core.diagnose.add.terms import (
     warn_if_implausible,
 )
 from socast.core.diagnose.candidates import find_coefficient_limits
-from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
+from socast.core.diagnose.gains import LEAST_GAIN, LEVEL
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
 from socast.core.evaluate.records import hold_estimate

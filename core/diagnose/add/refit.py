@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import compute_least_coefficients
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.gains import compute_held_out_gain
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.diagnose.ranking import compute_held_out_gain
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import LinearRecipe

@@ -49,8 +49,8 @@ class Alternatives:
         A.
     match : (k,) float
         g.
-    untested : dict of int to int
-        Effects of all cars that base terms can imitate, by their first column, and the column.
+    identified : frozenset of int
+        Effects of all cars that the terms of the base cannot imitate, as columns of `WindowColumns.effects`.
     """
 
     family: Ints
@@ -67,12 +67,6 @@ class Alternatives:
     def build_column(self, columns: WindowColumns, at: int) -> Floats:
         """Return the energy of an alternative in each window, per standard deviation of its coefficient. [kWh]"""
         return columns.effects[:, self.effect[at]] * self.weight[at][columns.day] * self.size[at]
-
-    def find(self, other: "Alternatives", at: int) -> int | None:
-        """Return the place of an alternative of another selection, None where it is absent."""
-        key = (other.family[at], other.effect[at], other.place[at])
-        same = (self.family == key[0]) & (self.effect == key[1]) & (self.place == key[2])
-        return int(np.argmax(same)) if same.any() else None
 
 
 def weigh_alone(own: Floats, match: Floats, *, positive: bool) -> Floats:

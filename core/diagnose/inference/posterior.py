@@ -43,8 +43,6 @@ RELEARNED: Final = 15
 """Number of steps of the search for the spreads with and without a finding."""
 PRIOR_DAYS: Final = 4.0
 """Dates that the expected variance between dates counts as."""
-SURE: Final = 1.96
-"""Standard errors by which the coefficient of a reported finding differs from zero."""
 
 
 class Size(NamedTuple):
@@ -64,7 +62,8 @@ class Size(NamedTuple):
     @property
     def excludes_zero(self) -> bool:
         """Whether the 95 % interval of the coefficient excludes zero."""
-        return abs(self.estimate.value) > SURE * self.estimate.error
+        low, high = self.estimate.interval
+        return low * high > 0.0
 
 
 @dataclass(frozen=True)

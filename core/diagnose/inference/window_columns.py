@@ -11,10 +11,12 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.diagnose.candidates import LEAST_KNOWN
 from socast.core.diagnose.dataset import Windows
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
@@ -51,8 +53,6 @@ CURVE_SPREAD: Final = 0.4
 """Standard deviation of the factor of the accessory curve. [1]"""
 STANDBY: Final = 800.0, 500.0
 """Mean and standard deviation of the constant power where a model has no accessory curve. [W]"""
-LEAST_KNOWN: Final = 0.5
-"""Share of the windows in which an effect must be known to be tested."""
 SEASON: Final = 85.0
 """Length of the data from which rolling and constant load may drift with the season. [days]"""
 SEASON_STEP: Final = 45.0
@@ -126,7 +126,7 @@ class WindowColumns:
     names: tuple[str, ...]
     effects: Floats
     parts: Floats
-    ignored: Ints
+    ignored: NDArray[np.bool_]
     ride: Ints
     day: Ints
     day_of_ride: Ints
@@ -148,7 +148,7 @@ class WindowColumns:
 
 
 def gather_window_columns(
-    seen: Windows, model: LinearModel, without: Collection[str] = (), ignored: Ints | None = None
+    seen: Windows, model: LinearModel, without: Collection[str] = (), ignored: NDArray[np.bool_] | None = None
 ) -> WindowColumns:
     """Return the columns of windows for the inference.
 
@@ -156,7 +156,7 @@ def gather_window_columns(
     ----------
     without : collection of str
         Effects of the library that do not count as candidates.
-    ignored : (k,) int64, optional
+    ignored : (n,) bool, optional
         Windows that do not count.
     """
     table, n = seen.table, len(seen.measured)
@@ -166,9 +166,6 @@ def gather_window_columns(
     base, mean = _gather_base(table, model, kind)
     common, expected, more = _gather_common(table, model, without)
     names, columns = _gather_effects(table, without)
-    mask = np.zeros(n, dtype=np.int64)
-    if ignored is not None:
-        mask[ignored] = 1
     vehicles = get_names(table, "vehicle_id")
     loads = _gather_loads(table) * np.array(USUAL_SPREADS)
     ride = number_units(seen.ride)
@@ -182,7 +179,7 @@ def gather_window_columns(
         names=names,
         effects=columns,
         parts=build_variance_parts(table),
-        ignored=mask,
+        ignored=np.zeros(n, dtype=np.bool_) if ignored is None else ignored,
         ride=ride,
         day=day,
         day_of_ride=day[np.unique(ride, return_index=True)[1]],

@@ -67,7 +67,7 @@ class WindowModel:
         n = len(columns.residual)
         self.columns, self.known = columns, np.zeros((n, 0))
         self.log_spread = np.zeros(DATES.stop)
-        counted = columns.ignored == 0
+        counted = ~columns.ignored
         self.variance = np.full(n, max(FIRST_VARIANCE * float(np.var(columns.residual[counted])), 1e-12))
         self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
@@ -271,7 +271,7 @@ class WindowModel:
     def _estimate_noise(self) -> None:
         """Estimate the variance of each window from its residual, and its weight."""
         residual = self.compute_residual()
-        counted = self.columns.ignored == 0
+        counted = ~self.columns.ignored
         self.variance = np.full(len(residual), 1.0)
         self.variance[counted] = estimate_variance(self.columns.parts[counted], residual[counted])
         self.weight = np.zeros(len(residual))

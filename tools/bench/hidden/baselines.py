@@ -26,8 +26,8 @@ from sklearn.inspection import permutation_importance
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import Candidates, build_candidates
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.models import ANY, LinearModel

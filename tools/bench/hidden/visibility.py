@@ -13,8 +13,8 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.block_sums import build_design
 from socast.core.models import Term
 from socast.core.models.features import Columns

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation, name_deviating
+from socast.core.diagnose.gains import LEAST_GAIN
 from socast.core.diagnose.leading import find_leading
-from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import (
     NONE,
     BiasedBin,

@@ -71,7 +71,7 @@ def test_learning_raises_the_density_within_the_range_of_the_spreads(model):
 
 def test_windows_that_are_ignored_have_no_influence():
     columns = draw_columns(3)
-    columns.ignored[:8] = 1
+    columns.ignored[:8] = True
     spoilt = replace(columns, residual=np.where(columns.ignored, 1e3, columns.residual))
     one, other = WindowModel(columns).relearn(), WindowModel(spoilt).relearn()
     np.testing.assert_allclose(other.coefficients, one.coefficients, atol=1e-9)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.diagnose.ranking import compute_correlation, compute_window_gains
+from socast.core.diagnose.gains import compute_correlation, compute_window_gains
 from socast.core.stats.clustered import sum_over_clusters
 from socast.core.stats.evidence import ClusterSums
 
@@ -21,7 +21,7 @@ class TestHeldOut:
         clusters = days(23, 7)
         residual, columns = rng.normal(size=161), rng.normal(size=(161, 3))
         sign = np.array([0, 1, -1])
-        ranking = compute_window_gains(residual, columns, sign, clusters, 5)
+        gains = compute_window_gains(residual, columns, sign, clusters, 5)
         fold = clusters.assign_folds(5)[clusters.code]
         expected = np.zeros((161, 3))
         for k in np.unique(fold):
@@ -31,7 +31,7 @@ class TestHeldOut:
                 fitted = 0.0 if sign[at] * fitted < 0.0 else fitted
                 expected[here, at] = residual[here] ** 2 - (residual[here] - fitted * columns[here, at]) ** 2
         expected = clusters.sum_by_cluster(expected) / (residual @ residual)
-        np.testing.assert_allclose(ranking, expected, atol=1e-12)
+        np.testing.assert_allclose(gains, expected, atol=1e-12)
 
     def test_chance_gains_nothing(self):
         gains = []
@@ -71,9 +71,9 @@ class TestHeldOut:
 @given(st.integers(0, 2**32), st.floats(-10.0, 10.0).filter(lambda x: abs(x) > 1e-3))
 def test_correlation_is_a_cosine(seed, scale):
     one, other = np.random.default_rng(seed).normal(size=(2, 30))
-    ranking = compute_correlation(one, other)
-    assert -1.0 <= ranking <= 1.0
-    assert ranking == pytest.approx(compute_correlation(other, one))
-    assert compute_correlation(scale * one, other) == pytest.approx(np.sign(scale) * ranking)
+    correlation = compute_correlation(one, other)
+    assert -1.0 <= correlation <= 1.0
+    assert correlation == pytest.approx(compute_correlation(other, one))
+    assert compute_correlation(scale * one, other) == pytest.approx(np.sign(scale) * correlation)
     assert compute_correlation(one, one) == pytest.approx(1.0)
     assert compute_correlation(one, np.zeros(30)) == 0.0
