@@ -7,7 +7,7 @@ Each step is a module of its own:
    effect explains, which the further steps leave out.
 3. `inference` gives the probability and the size of every effect of the library in all cars, in one car or a group,
    always or since a date. `selection` and `deviations` read from it what is missing, in which car and since when.
-4. `residual_structure` and `free_form` search the remaining residual without the library.
+4. Forms outside the library (`forms`) are weighed by the same inference.
 5. `slices` finds groups of rides with a different bias.
 6. `error_location` tells between which units (rides, days, cars) the error varies, and by which kind of load.
 7. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
@@ -23,7 +23,6 @@ from threadpoolctl import threadpool_limits
 
 from socast.core import effects
 from socast.core.batch import Floats
-from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.add.records import list_attempts
 from socast.core.diagnose.add.terms import describe_coefficient
@@ -33,7 +32,7 @@ from socast.core.diagnose.deviations import describe_deviations, list_credible, 
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.free_form.search import Suggestion, suggest_term
+from socast.core.diagnose.inference.forms import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
 from socast.core.diagnose.inference.scopes import KnownEvent
@@ -50,25 +49,22 @@ from socast.core.diagnose.records import (
     ErrorSummary,
     HeldOutRides,
     NamedEffect,
-    RemainingStructure,
     RivalEffect,
     TestedEffect,
 )
 from socast.core.diagnose.residual_profile import profile_residual
-from socast.core.diagnose.residual_structure import ResidualStructure
 from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, list_scoped, select_missing
 from socast.core.diagnose.slices.search import find_slices
+from socast.core.diagnose.unknown_causes import REMAINING, describe_unknown
 from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
 from socast.core.fit.ride_blocks import ENERGY, assign_vehicle_days, get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
-from socast.core.records import ConfidenceInterval, make_interval
+from socast.core.records import make_interval
 from socast.core.stats.evidence import ClusterSums
 
-LEAST_SUGGESTION_GAIN: Final = 0.005
-"""Share of the squared error that a free-form term must explain to be suggested."""
 LEAST_DAYS_FOR_SCOPES: Final = 12
 """Vehicle-days below which effects are not tested within scopes."""
 MAIN_SHARE: Final = 0.95
@@ -79,8 +75,6 @@ UNDATED: Final = frozenset({"season", "time of day"})
 """Conditions of rides that invented dates do not show."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
-REMAINING: Final = 0.02
-"""Probability from which a cause of what remains is listed."""
 
 
 def diagnose(
@@ -167,17 +161,14 @@ def _diagnose(
         list_groups(seen, columns, groups or {}),
         events,
         scopes=places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES,
+        forms=FormSearch(seen.table, float(np.abs(seen.measured).sum())),
         seed=seed,
         report=lambda done: report(0.3 + 0.5 * done, "weighing the effects"),
     )
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
     selection = select_missing(base, inference, clusters, seed, least_gain)
     missing = selection.effects
-    report(0.8, "searching the remaining error")
     named = selection.keep((*missing, *list_scoped(inference, dated=dated)))
-    remains = residual_structure.measure_residual_structure(named)
-    unknown = set(remains.signs) - {"better"}
-    suggested = _suggest(named, named.compute_residual(named.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     report(0.9, "searching for slices")
     error = seen.by_ride(seen.predicted - seen.measured)
@@ -200,10 +191,7 @@ def _diagnose(
         credible_set=list_credible(missing[0].causes) if missing else [NONE],
         further=_list_remaining(inference, missing) if missing else [],
         further_credible_set=[NONE] if missing else [],
-        structure_remains=remains.exists,
-        structure=_describe_structure(remains),
-        suggestion=None if suggested is None else suggested.formula,
-        suggestion_file=None if suggested is None else suggested.file,
+        unknown=describe_unknown(seen, inference),
         steps=compute_steps(selection.on(base), floor),
         profiles=profile_residual(named),
         deviations=describe_deviations(seen, inference, dated=dated),
@@ -389,38 +377,3 @@ def _describe_status(row: TestedEffect, sign: int, missing: Sequence[MissingEffe
     if row.z is not None and sign * row.z < -WRONG_SIGN_Z:
         return "wrong sign"
     return "not needed" if row.z is not None and sign * row.z > WRONG_SIGN_Z else "not there"
-
-
-def _describe_structure(remains: ResidualStructure) -> RemainingStructure:
-    """Return the structure that remains after the missing effects."""
-    return RemainingStructure(
-        before=remains.before,
-        after=remains.after,
-        after_ci95=_surround(remains.after, remains.error),
-        taken=remains.taken,
-        least=residual_structure.LEAST_TAKEN,
-        shape=remains.shape,
-        q=remains.q,
-        shape_taken=remains.gain,
-        shape_taken_ci95=_surround(remains.gain, remains.gain_error),
-        better=remains.better,
-        signs=list(remains.signs),
-        days=remains.days,
-        most_days=remains.most_days,
-    )
-
-
-def _surround(value: float, error: float) -> ConfidenceInterval | None:
-    """Return the interval of a share by which structure is judged."""
-    half = residual_structure.SURE * error
-    return make_interval(value - half, value + half)
-
-
-def _suggest(selection: Selection, left: Floats) -> Suggestion | None:
-    """Return a free-form term for the residual, if one explains enough."""
-    base = selection.base
-    seen = base.windows
-    columns = np.column_stack([base.get_unweighted_columns(), *(named.column for named in selection.effects)])
-    return suggest_term(
-        seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=LEAST_SUGGESTION_GAIN
-    )

@@ -10,6 +10,8 @@ from socast.core.records import ConfidenceInterval, Record, declare, make_frame
 
 NONE: Final = "none"
 """Cause where nothing is missing."""
+UNKNOWN: Final = "unknown"
+"""Cause that is not in the library."""
 
 
 class EstimatedCoefficient(Record, frozen=True):
@@ -24,7 +26,7 @@ class EstimatedCoefficient(Record, frozen=True):
 
 
 class CauseProbability(Record, frozen=True):
-    """Hold a cause of an error: an effect, or `none`."""
+    """Hold a cause of an error: an effect, `unknown` for something outside the library, or `none`."""
 
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
@@ -308,22 +310,27 @@ class ErrorLocation(Record, frozen=True):
     noise_limited: Annotated[bool, declare("Whether the share of the measurement noise is an upper limit.")] = False
 
 
-class RemainingStructure(Record, frozen=True):
-    """Hold how much of the error can be predicted before and after what is named, in all cars and in some."""
+class UnknownCause(Record, frozen=True):
+    """Hold something that is missing in all cars and not in the library, by the form that fits best."""
 
-    before: Annotated[float | None, declare("Share of the variance that trees predict on other days. [1]")] = None
-    after: Annotated[float | None, declare("The same after what is named. [1]")] = None
-    after_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `after`. [1]")] = None
-    taken: Annotated[float | None, declare("Share of the predictable part that this explains. [1]")] = None
-    least: Annotated[float | None, declare("Share that it must explain to explain it all. [1]")] = None
-    shape: Annotated[str | None, declare("Plain pattern that remains.")] = None
-    q: Annotated[float | None, declare("Rate of false patterns up to this one. [1]")] = None
-    shape_taken: Annotated[float | None, declare("Held-out share of the error that the pattern explains. [1]")] = None
-    shape_taken_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `shape_taken`. [1]")] = None
-    better: Annotated[dict[str, str], declare("Named effect -> pattern that explains more than it does.")] = {}
-    signs: Annotated[list[str], declare("Evidence of structure: `trees`, `shape`, `better`, `days`.")] = []
-    days: Annotated[float | None, declare("Variance between vehicle-days over that by chance. [1]")] = None
-    most_days: Annotated[float | None, declare("Largest `days` that chance explains. [1]")] = None
+    formula: Annotated[str, declare("Power of the form that fits best.", "form")]
+    probability: Annotated[
+        float | None,
+        declare("Probability that something like it is missing. [1]", "probability", "whole percent"),
+    ] = None
+    energy_share: Annotated[
+        float | None,
+        declare("Its energy over the measured energy. [1]", "of energy", "percent", "energy_share_ci95"),
+    ] = None
+    energy_share_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of this share. [1]")] = None
+    coefficient: Annotated[EstimatedCoefficient, declare("Coefficient c.", "c", "coefficient")] = EstimatedCoefficient()
+    resembles: Annotated[
+        str | None, declare("Effect of the library on the same load with a similar energy.", "resembles")
+    ] = None
+    forms: Annotated[
+        dict[str, float], declare("Forms that fit the same -> share of the probability, the largest first. [1]")
+    ] = {}
+    file: Annotated[str, declare("Source of an effect of this form.")] = ""
 
 
 class DiagnosedModel(Record, frozen=True):
@@ -401,10 +408,9 @@ class Diagnosis(Record, frozen=True):
         list[CauseProbability], declare("Effects that may be missing beside the named ones, or `none`.")
     ] = []
     further_credible_set: list[str] = []
-    structure_remains: Annotated[bool, declare("Whether the remaining error can be predicted.")] = False
-    structure: RemainingStructure = RemainingStructure()
-    suggestion: Annotated[str | None, declare("Formula of a free-form term that fits the remaining error.")] = None
-    suggestion_file: Annotated[str | None, declare("Source of an effect with this formula.")] = None
+    unknown: Annotated[
+        list[UnknownCause], declare("What is missing and not in the library, the most probable first.")
+    ] = []
     steps: Annotated[list[ErrorAfterEffect], declare("How the error falls, effect by effect.")] = []
     profiles: Annotated[list[ResidualProfile], declare("Mean residual along each feature.")] = []
     deviations: Annotated[list[CarDeviation], declare("Cars and groups that deviate or changed.")] = []

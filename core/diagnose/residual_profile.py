@@ -8,11 +8,24 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.records import ResidualProfile
-from socast.core.diagnose.residual_structure import FEATURES
 from socast.core.diagnose.selection import Selection
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 
+FEATURES: Final[tuple[tuple[str, str], ...]] = (
+    ("ambient_c", "°C"),
+    ("average_speed_kmh", "km/h"),
+    ("precipitation_mm_h", "mm/h"),
+    ("wind_speed_kmh", "km/h"),
+    ("soc_start_pct", "%"),
+    ("battery_temperature_c", "°C"),
+    ("elapsed_s", "s"),
+    ("parked_s", "s"),
+    ("occupants", "1"),
+    ("odometer_km", "km"),
+    ("start_s", "s"),
+)
+"""Features of a window on which an error may depend, with their units."""
 BINS: Final = 12
 """Largest number of bins along a feature."""
 LEAST_WINDOWS: Final = 10

@@ -143,7 +143,7 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
     found = [
         MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
         for one in inference.findings
-        if one.is_likely and not one.family.is_scoped and _is_large(one.variant, one.size.estimate)
+        if one.is_likely and one.form is None and not one.family.is_scoped and _is_large(one.variant, one.size.estimate)
     ]
     for one in inference.expected:
         low, _ = one.size.estimate.interval

@@ -34,7 +34,7 @@ def make_result(*missing: dict[str, Any], deviations: Sequence[dict[str, Any]] =
         "credible_set": first,
         "further": [],
         "further_credible_set": [NONE] if missing else [],
-        "structure_remains": False,
+        "unknown": [],
         "deviations": list(deviations),
         "error": {"mae_kwh": 0.1, "noise_floor_kwh": 0.05},
     }

@@ -16,6 +16,7 @@ from socast.core.diagnose.records import (
     PartialResidual,
     RankedCar,
     ResidualProfile,
+    UnknownCause,
 )
 from socast.core.records import Record, to_json_values
 
@@ -157,13 +158,7 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
              "status": "not there"},
         ],
         "verdict": "cold_rolling",
-        "structure_remains": True,
-        "structure": {
-            "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8, "shape": "stops * sun", "q": 0.001,
-            "shape_taken": 0.01, "better": {}, "signs": ["trees"], "days": 1.1, "most_days": 1.3,
-        },
-        "suggestion": "P = (average speed)^2 v",
-        "suggestion_file": '"""An effect of your own."""\n',
+        "unknown": [make_unknown_cause()],
         "steps": [
             make_step(None, 0.055),
             make_step("cold_rolling", 0.048, change_kwh=-0.007, change_ci95_kwh=0.002),
@@ -180,6 +175,16 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
     } | changes, Diagnosis)  # fmt: skip
+
+
+def make_unknown_cause(**changes: Any) -> UnknownCause:
+    """Return the entry of something outside the library."""
+    return _convert({
+        "formula": "P = c · d · r", "probability": 0.97, "energy_share": 0.024, "energy_share_ci95": [0.01, 0.038],
+        "coefficient": {"value": 3.1e8, "ci95": [1.3e8, 4.9e8], "unit": "W/(m/s)"},
+        "forms": {"P = c · d · r": 0.7, "P = c · d² · r": 0.25},
+        "file": '"""An effect of your own."""\n',
+    } | changes, UnknownCause)  # fmt: skip
 
 
 def make_episode(**changes: Any) -> FoundEpisode:
@@ -234,8 +239,7 @@ def make_empty_diagnosis(**changes: Any) -> Diagnosis:
     whole = make_diagnosis()
     empty = {
         "error_location": replace(whole.error_location, loads=()),
-        "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
-        "suggestion_file": None, "steps": whole.steps[:1], "deviations": [], "cars": [],
-        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": []},
+        "slices": [], "missing": [], "verdict": None, "unknown": [], "steps": whole.steps[:1],
+        "deviations": [], "cars": [],
     }  # fmt: skip
     return make_diagnosis(**(empty | changes))

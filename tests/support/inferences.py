@@ -7,6 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from socast.core import effects
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.inference.forms import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
 from socast.core.diagnose.inference.window_columns import gather_window_columns
@@ -25,6 +26,7 @@ def infer(
     windows, model = gather_with_model(tables)
     columns = gather_window_columns(windows, model, without)
     inside = [effects.get(name).base for name in model.effects]
+    forms = FormSearch(windows.table, float(windows.measured.sum()))
     with threadpool_limits(1):
-        found = infer_missing(columns, inside, list_groups(windows, columns, groups or {}), scopes=scopes)
+        found = infer_missing(columns, inside, list_groups(windows, columns, groups or {}), scopes=scopes, forms=forms)
     return windows, model, found

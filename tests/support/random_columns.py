@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.diagnose.inference.scopes import find_largest
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES, WindowColumns
 from socast.core.diagnose.inference.window_model import CARS, DATES, DAYS, RIDES, D, S, WindowModel
 
@@ -29,7 +29,7 @@ def draw_columns(seed: int, *, cars: int = 3, dates: int = 3, rides: int = 2, wi
         common=draw(1),
         expected=(),
         names=NAMES,
-        effects=draw(len(NAMES)) / np.array([find_largest(name) for name in NAMES]),
+        effects=draw(len(NAMES)) / np.array([max(abs(each.low), abs(each.high)) for each in map(effects.get, NAMES)]),
         parts=np.abs(draw(4)),
         ignored=np.zeros(n, dtype=np.bool_),
         ride=at // windows,

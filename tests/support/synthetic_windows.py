@@ -201,6 +201,19 @@ def make_tables(
     return build_tables(table, energy)
 
 
+def make_unknown(form: str, table: pd.DataFrame | None = None) -> np.ndarray:
+    """Return the energy of a cause outside the library, 6 % of the total. [kWh]"""
+    table = make_windows() if table is None else table
+    rolling = (table["effect_rolling"] * table["rolling_resistance"]).to_numpy()
+    hours = table["duration_s"].to_numpy() / 3600.0
+    forms = {
+        "crowded": rolling * (table["occupants"].to_numpy() > 3.0),
+        "low battery": hours * np.maximum(60.0 - table["soc_start_pct"].to_numpy(), 0.0),
+        "gusty": table["effect_braking"].to_numpy() * table["wind_speed_kmh"].to_numpy(),
+    }
+    return 0.06 * compute_road_load_energy(table).sum() / forms[form].sum() * forms[form]
+
+
 def build_tables(table: pd.DataFrame, energy: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return ride and window tables with the given energy, measured by voltage and current. [kWh]"""
     gain = 0.01 * np.abs(energy)

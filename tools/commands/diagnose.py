@@ -77,7 +77,10 @@ def diagnose_rides(
     html_file: HtmlFile = None,
     place: ClusterPlace | None,
     suggest: Annotated[
-        Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.py", help="Write the form outside the library, if any, to a file as an effect to edit."
+        ),
     ] = None,
     least_gain: LeastGain = 0.0,
     groups: Annotated[
@@ -330,12 +333,11 @@ def _auto(
 
 
 def _write_suggestion(result: Diagnosis, path: Path | None) -> str | None:
-    """Write the suggested effect if there is one and a path is given, and return the path."""
-    text = result.suggestion_file
-    if not (path and text):
+    """Write the form outside the library if there is one and a path is given, and return the path."""
+    if not (path and result.unknown):
         return None
     try:
-        write_whole(path, text.encode())
+        write_whole(path, result.unknown[0].file.encode())
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
     return str(path)

@@ -10,15 +10,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.sparse import csr_array
 from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.inference.scopes import Family, find_largest
+from socast.core.diagnose.inference.scopes import Family
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
 
 LEAST_LEFT: Final = 0.01
 """Share of the squared size of a column that the base must be unable to explain."""
+LEAST_DATES: Final = 2.0
+"""Effective number of dates on which an alternative within a scope must act; what acts on one is an episode. [1]"""
 LEAST_SHARE: Final = 0.002
 """Share of the energy that an effect of twice its standard deviation must be able to take."""
 KEPT: Final = 40
@@ -87,8 +90,8 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     """
     columns = model.columns
     sums = _Products(model)
-    free = sums.factorise_free()
-    energy = np.zeros((len(columns.start), len(columns.names)))
+    free = factorise_free(model)
+    energy = np.zeros((len(columns.start), columns.effects.shape[1]))
     np.add.at(energy, columns.day, np.abs(columns.effects))
     measured = columns.sum_days(np.abs(columns.measured))
     found: list[tuple[int, int, int, float, float]] = []
@@ -98,8 +101,12 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
         amount = (weight > 0.0).astype(np.float64) @ measured[family.days]
         of_family: list[tuple[float, int, int, float]] = []
         for effect in family.effects:
-            size = family.size * find_largest(columns.names[effect])
+            size = family.size * columns.find_largest(effect)
             able = 2.0 * size * (weight @ energy[family.days, effect]) >= LEAST_SHARE * amount
+            if family.is_scoped:
+                able &= (
+                    count_dates(weight * energy[family.days, effect], columns.date_of_day[family.days]) >= LEAST_DATES
+                )
             own, match, left = sums.project(effect, family.days, weight, size, free)
             good = able & (left > LEAST_LEFT)
             if (left > LEAST_LEFT).any() and not family.is_scoped:
@@ -107,14 +114,17 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
             evidence = weigh_alone(own, match, positive=not family.either_sign)
             of_family += [(float(evidence[at]), effect, at, size) for at in np.flatnonzero(good).tolist()]
         of_family.sort(key=lambda each: -each[0])
-        odds = float(np.log(family.prior / (1.0 - family.prior) / max(len(of_family), 1)))
+        odds = float(np.log(family.prior / (1.0 - family.prior)))
         again = set()
         if kept is not None:
             rows = np.flatnonzero(kept.family == number).tolist()
             again = {(int(kept.effect[at]), int(kept.place[at])) for at in rows}
         for rank, (_, effect, at, size) in enumerate(of_family):
-            if rank < KEPT or (effect, at) in again:
-                found.append((number, effect, at, size, odds))
+            if rank < KEPT or family.is_unknown or (effect, at) in again:
+                share = -float(np.log(len(of_family)))
+                if family.is_unknown:
+                    share = columns.unknown[effect - len(columns.names)].log_share
+                found.append((number, effect, at, size, odds + share))
     family_of, effect_of, place_of = (np.array([row[i] for row in found], dtype=np.int64) for i in range(3))
     weights = np.zeros((len(found), len(columns.start)))
     for row, (number, _, at, _, _) in enumerate(found):
@@ -135,6 +145,20 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     )
 
 
+def count_dates(energy: Floats, date: Ints) -> Floats:
+    """Return the effective number of dates of each row, the squared sum over the sum of squares; (k, d) to (k,)."""
+    of_date = energy @ csr_array((np.ones(len(date)), (np.arange(len(date)), date)))
+    return np.asarray(of_date.sum(axis=1) ** 2 / np.maximum((of_date**2).sum(axis=1), 1e-300))
+
+
+def factorise_free(model: WindowModel) -> Floats:
+    """Return the factor of the system in which the coefficients of the base are nearly free."""
+    size = model.size
+    precision = np.where(np.arange(size) < model.shared, FREE, 1.0)
+    precision[model.locate_known()] = FIXED
+    return np.asarray(np.linalg.cholesky(model.total[:size, :size] + np.diag(precision)))
+
+
 class _Products:
     """Hold the sums of the vehicle-days of a model with all effects of the library beside its columns."""
 
@@ -142,20 +166,13 @@ class _Products:
         self.model = model
         columns = model.columns
         self.sums = model.sum_days(columns.effects)
-        self.first = self.sums.shape[1] - 1 - len(columns.names)
+        self.first = self.sums.shape[1] - 1 - columns.effects.shape[1]
         source, self.place = model.coordinates
         self.source = source.copy()
         self.source[-1] = self.sums.shape[1] - 1
         self.lower = np.linalg.cholesky(np.eye(model.size) + model.total[: model.size, : model.size])
         self.along = solve_triangular(self.lower, model.total[: model.size, model.size], lower=True)
         self._beside: dict[int, Floats] = {}
-
-    def factorise_free(self) -> Floats:
-        """Return the factor of the system in which the coefficients of the base are nearly free."""
-        size = self.model.size
-        precision = np.where(np.arange(size) < self.model.shared, FREE, 1.0)
-        precision[self.model.locate_known()] = FIXED
-        return np.asarray(np.linalg.cholesky(self.model.total[:size, :size] + np.diag(precision)))
 
     def get_beside(self, effect: int) -> Floats:
         """Return the products of an effect with the coefficients and the energy on each vehicle-day, (d, F + 1)."""

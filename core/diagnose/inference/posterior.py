@@ -15,7 +15,7 @@ Mathematical Statistics 42 (1971) 204, DOI 10.1214/aoms/1177693507: the odds of 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import exp, inf, log, log1p, sqrt
 from typing import Final, NamedTuple
 
@@ -23,11 +23,22 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.diagnose.forms.suggestion import format_formula
+from socast.core.diagnose.forms.terms import FreeTerm
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
+from socast.core.diagnose.inference.forms import FormSearch
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
-from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Family, KnownEvent, Timing, list_families
+from socast.core.diagnose.inference.scopes import (
+    PRIOR_EFFECT,
+    Family,
+    KnownEvent,
+    Timing,
+    list_families,
+    list_unknown,
+)
 from socast.core.diagnose.inference.window_columns import Expected, WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
+from socast.core.diagnose.records import UNKNOWN
 from socast.core.effects.declaration import VARIANT
 from socast.core.stats.scores import Estimate
 
@@ -77,17 +88,22 @@ class LikelyCause:
     evidence : float
         Logarithm of the Bayes factor of the best alternative against none. [1]
     variant : str
-        Effect, or its variant, of the best alternative.
+        Effect, or its variant, of the best alternative; the formula of a form outside the library.
     size : Size
         Its coefficient.
     causes : dict of str to float
-        Effects that could explain the same, each with its share of the probability, the largest first. [1]
+        Effects that could explain the same, each with its share of the probability, the largest first; `UNKNOWN`
+        stands for forms outside the library. [1]
     dates : dict of int to float
         Probability of each place of the family, given that one is true. [1]
     place : int
         Timing of the best alternative.
     column : (n,) float
         Energy of the best alternative per unit of its coefficient. [kWh]
+    form : FreeTerm, optional
+        The form outside the library.
+    forms : dict of str to float
+        Formulas of the forms that could explain the same, each with its share of the probability. [1]
     """
 
     family: Family
@@ -99,6 +115,8 @@ class LikelyCause:
     dates: dict[int, float]
     place: int
     column: Floats
+    form: FreeTerm | None = None
+    forms: dict[str, float] = field(default_factory=dict)
 
     @property
     def effect(self) -> str:
@@ -112,8 +130,12 @@ class LikelyCause:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is reported: it is likely, and its 95 % interval excludes zero."""
-        return self.probability >= LIKELY and self.size.excludes_zero
+        """Whether it is reported: it is likely, and its 95 % interval excludes zero.
+
+        An effect is not if a form outside the library is the more probable cause.
+        """
+        doubtful = self.form is None and self.causes.get(UNKNOWN, 0.0) >= LIKELY
+        return self.probability >= LIKELY and self.size.excludes_zero and not doubtful
 
 
 @dataclass(frozen=True)
@@ -175,6 +197,7 @@ def infer_missing(
     events: Sequence[KnownEvent] = (),
     *,
     scopes: bool = True,
+    forms: FormSearch | None = None,
     seed: int = 0,
     report: Callable[[float], None] = lambda _: None,
 ) -> Inference:
@@ -190,13 +213,18 @@ def infer_missing(
         Known events, each a candidate of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
+    forms : FormSearch, optional
+        Forms outside the library; without them, only effects of the library may be missing.
     report : callable
         Function that receives the share of the work that is done.
     """
-    families = list_families(columns, inside, groups, events, scopes=scopes)
+    library = list_families(columns, inside, groups, events, scopes=scopes)
     model, given = WindowModel(columns), None
     first: Alternatives | None = None
     for step, least in enumerate((*BESIDE, None)):
+        if forms is not None:
+            model = forms.extend(model)
+        columns, families = model.columns, [*library, *list_unknown(model.columns)]
         given = select_alternatives(model, families, given)
         first = first or given
         chances, together = sample_alternatives(given, seed)
@@ -223,10 +251,10 @@ def infer_missing(
     likely = [best[numbers[id(one.family)]] for one in findings if one.is_likely]
     final = examiner.get_model(likely)
     names = columns.names
-    everywhere = {family.who: number for number, family in enumerate(families) if not family.is_scoped}
-    examined = {one.effect: one.probability for one in findings if not one.family.is_scoped}
+    everywhere = {family.who: number for number, family in enumerate(library) if not family.is_scoped}
+    examined = {one.effect: one.probability for one in findings if one.family.who in everywhere}
     return Inference(
-        findings=tuple(sorted(findings, key=lambda one: -one.probability)),
+        findings=tuple(sorted(findings, key=lambda one: (-round(one.probability, 3), -one.evidence))),
         expected=tuple(_examine_expected(final, each) for each in columns.expected),
         alone={name: _score_alone(first, number, families[number], names) for name, number in everywhere.items()},
         chances={name: examined.get(name, of_family[number]) for name, number in everywhere.items()},
@@ -269,8 +297,10 @@ class _Examiner:
         together: dict[int, int],
     ) -> None:
         self.model, self.families, self.given, self.chances, self.best = model, families, given, chances, best
-        self._together = together
         self._models: dict[tuple[int, ...], WindowModel] = {}
+        self._together = dict(together)
+        for number in together:
+            self._prefer_best(number)
 
     def get_model(self, chosen: Sequence[int]) -> WindowModel:
         """Return the model beside some alternatives, with weights and spreads of its own."""
@@ -291,25 +321,40 @@ class _Examiner:
         evidence = both.log_density - without.log_density
         if given.positive[at]:  # the prior is half a normal distribution
             evidence += log(2.0) + float(log_ndtr(size.estimate.value / size.estimate.error))
-        share = max(float(self.chances[at]) / max(sampled, 1e-12), 1e-12)
-        odds = evidence + float(given.log_odds[at]) - log(share)
-        name = columns.names[int(given.effect[at])]
+        evidence /= size.spread
         rows = np.flatnonzero(given.family == number)
         of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)
+        causes, forms, among = self._share_causes(number, others)
+        share = among if family.is_unknown else float(self.chances[at]) / max(sampled, 1e-12)
+        odds = evidence + float(given.log_odds[at]) - log(max(share, 1e-12))
+        effect = int(given.effect[at])
+        form = columns.unknown[effect - len(columns.names)].term if family.is_unknown else None
         return LikelyCause(
             family=family,
             probability=_invert_odds(odds),
             evidence=evidence,
-            variant=name,
+            variant=columns.names[effect] if form is None else format_formula(form),
             size=size,
-            causes=self._share_causes(number, others),
+            causes=causes,
             dates={place: float(of_place[place]) for place in np.flatnonzero(of_place > 0.0).tolist()},
             place=int(given.place[at]),
             column=given.build_column(columns, at) / float(given.size[at]),
+            form=form,
+            forms=forms,
         )
 
-    def _share_causes(self, number: int, others: list[int]) -> dict[str, float]:
-        """Return the effects that could take the place of a family beside the others, with their shares."""
+    def _prefer_best(self, number: int) -> None:
+        """Replace a family of what is true together by the one that is more probable in its place."""
+        others = [at for other, at in self._together.items() if other != number]
+        rows, chances = self._weigh_in_place(number, others)
+        family = int(np.argmax(np.bincount(self.given.family[rows], chances)))
+        best = int(rows[int(np.argmax(np.where(self.given.family[rows] == family, chances, -1.0)))])
+        if family != number and not self.families[number].is_scoped:
+            del self._together[number]
+            self._together[family] = self.best[family] = best
+
+    def _weigh_in_place(self, number: int, others: list[int]) -> tuple[Ints, Floats]:
+        """Return what could take the place of a family beside the others, and the probability of each."""
         given, family = self.given, self.families[number]
         known = {int(given.family[at]) for at in others}
         free = [
@@ -318,12 +363,39 @@ class _Examiner:
             if other == number or (not family.is_scoped and not self.families[other].is_scoped and other not in known)
         ]
         rows = np.flatnonzero(np.isin(given.family, free))
-        chances = normalise(weigh_further(given, sorted(others), rows) + given.log_odds[rows])
-        shares: dict[str, float] = {}
+        return rows, normalise(weigh_further(given, sorted(others), rows) + given.log_odds[rows])
+
+    def _share_causes(self, number: int, others: list[int]) -> tuple[dict[str, float], dict[str, float], float]:
+        """Return what could take the place of a family beside the others.
+
+        Returns
+        -------
+        causes : dict of str to float
+            Effects, and `UNKNOWN`, with their shares of the probability. [1]
+        forms : dict of str to float
+            Formulas of the forms outside the library, with their shares of that of all forms. [1]
+        among : float
+            Share of the best alternative of the family among all forms. [1]
+        """
+        given, columns = self.given, self.model.columns
+        rows, chances = self._weigh_in_place(number, others)
+        causes: dict[str, float] = {}
+        forms: dict[str, float] = {}
         for row, chance in zip(rows.tolist(), chances.tolist(), strict=True):
-            name = self.model.columns.names[int(given.effect[row])].partition(VARIANT)[0]
-            shares[name] = shares.get(name, 0.0) + chance
-        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+            effect, name = int(given.effect[row]), UNKNOWN
+            if effect < len(columns.names):
+                name = columns.names[effect].partition(VARIANT)[0]
+            else:
+                forms[format_formula(columns.unknown[effect - len(columns.names)].term)] = chance
+            causes[name] = causes.get(name, 0.0) + chance
+        unknown = max(causes.get(UNKNOWN, 0.0), 1e-300)
+        best = float(chances[rows == self.best[number]][0]) if self.families[number].is_unknown else 0.0
+        return _rank(causes), _rank({formula: chance / unknown for formula, chance in forms.items()}), best / unknown
+
+
+def _rank(shares: dict[str, float]) -> dict[str, float]:
+    """Return shares, the largest first."""
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
 def _invert_odds(odds: float) -> float:
@@ -357,8 +429,9 @@ def _measure_size(model: WindowModel, at: int, unit: float, mean: float = 0.0) -
 def _examine_expected(model: WindowModel, expected: Expected) -> ExpectedCause:
     """Return the odds of an expected effect: the density of a coefficient of zero before and after the data."""
     at = model.shared + expected.at
-    size = _measure_size(model, at, expected.sd, expected.mean)
-    zero = -expected.mean / expected.sd
+    sd = expected.sd * float(model.scale[at])
+    size = _measure_size(model, at, sd, expected.mean)
+    zero = -expected.mean / sd
     variance, mean = float(model.covariance()[at, at]) * size.spread, float(model.coefficients[at])
     evidence = 0.5 * ((zero - mean) ** 2 / variance + log(variance) - zero**2)
     odds = evidence + log(PRIOR_EFFECT) - log1p(-PRIOR_EFFECT)

@@ -13,6 +13,7 @@ from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.inference.window_columns import WindowColumns
+from socast.core.diagnose.records import UNKNOWN
 from socast.core.effects.declaration import VARIANT
 
 Kind = Literal["always", "step", "ramp"]
@@ -32,6 +33,10 @@ CHANGING: Final = (
 """Effects that may begin at a date. Those of the weather and of the road do not: they come and go."""
 PRIOR_EFFECT: Final = 0.1
 """Probability beforehand that all cars lack an effect."""
+PRIOR_GUESSED: Final = 0.05
+"""The same for an effect of the battery's temperature where the outside temperature has to stand for that."""
+PRIOR_UNKNOWN: Final = 0.2
+"""Probability beforehand that something outside the library is missing."""
 PRIOR_CAR: Final = 0.01
 """Probability beforehand that a car differs from its siblings by more than cars do."""
 PRIOR_CHANGE: Final = 0.3
@@ -114,6 +119,11 @@ class Family(NamedTuple):
     either_sign: bool
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether its alternatives are forms outside the library."""
+        return self.who == UNKNOWN
+
+    @property
     def is_scoped(self) -> bool:
         """Whether the effects act in some cars, or since a date only."""
         return self.of != "all" or self.places[0].kind != "always"
@@ -146,16 +156,31 @@ def list_families(
         variants.setdefault(name.partition(VARIANT)[0], []).append(at)
     expected = {each.effect for each in columns.expected}
     always = (Timing("always", np.ones(len(everywhere))),)
-    out = [
-        Family(name, "all", tuple(at), everywhere, always, PRIOR_EFFECT, ALWAYS_SIZE, effects.get(name).sign == 0)
-        for name, at in variants.items()
-        if name not in expected and name not in inside
-    ]
+    out = []
+    for name, at in variants.items():
+        if name in expected or name in inside:
+            continue
+        effect = effects.get(name)
+        prior = PRIOR_GUESSED if columns.guessed & set(effect.arguments) else PRIOR_EFFECT
+        out.append(Family(name, "all", tuple(at), everywhere, always, prior, ALWAYS_SIZE, effect.sign == 0))
     if scopes:
         declared = {columns.names[at]: at for at in range(len(columns.names)) if columns.names[at] in variants}
         out += _list_scoped(columns, declared, groups)
         out += _list_events(columns, declared, events)
     return out
+
+
+def list_unknown(columns: WindowColumns) -> list[Family]:
+    """Return the families of forms outside the library: those of the same load and variables, in all cars."""
+    everywhere = np.arange(len(columns.start))
+    forms: dict[tuple[str, frozenset[str]], list[int]] = {}
+    for at, form in enumerate(columns.unknown, len(columns.names)):
+        forms.setdefault((form.term.carrier.name, form.term.variables), []).append(at)
+    always = (Timing("always", np.ones(len(everywhere))),)
+    return [
+        Family(UNKNOWN, "all", tuple(at), everywhere, always, PRIOR_UNKNOWN, 1.0, either_sign=True)
+        for at in forms.values()
+    ]
 
 
 def _list_events(columns: WindowColumns, declared: Mapping[str, int], events: Sequence[KnownEvent]) -> list[Family]:
@@ -232,9 +257,3 @@ def _list_changes(columns: WindowColumns, days: Ints, *, ramps: bool = False) ->
         name, before = columns.dates[dates[first]], columns.dates[dates[max(first - 1, 0)]]
         out.append(Timing("ramp", weight, name, before, begin))
     return tuple(out)
-
-
-def find_largest(name: str) -> float:
-    """Return the upper end of the plausible range of an effect, by absolute value."""
-    effect = effects.get(name)
-    return max(abs(effect.low), abs(effect.high))

@@ -7,7 +7,7 @@ coefficient of the base is a standard normal variable beforehand.
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.candidates import LEAST_KNOWN
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.forms.terms import FreeTerm
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
 from socast.core.fit.block_sums import build_design
@@ -81,6 +82,22 @@ class Expected:
     sd: float
 
 
+class UnknownForm(NamedTuple):
+    """Hold a form outside the library.
+
+    Parameters
+    ----------
+    size : float
+        Standard deviation of its coefficient beforehand. [unit of the coefficient]
+    log_share : float
+        Logarithm of its share of the prior probability that something outside the library is missing.
+    """
+
+    term: FreeTerm
+    size: float
+    log_share: float
+
+
 @dataclass(frozen=True)
 class WindowColumns:
     """Hold the columns of n windows in r rides on d vehicle-days.
@@ -99,8 +116,8 @@ class WindowColumns:
         Effects among the common columns that every car is expected to have.
     names : tuple of str
         Effects of the library and their variants.
-    effects : (n, k) float
-        Their energy.
+    effects : (n, k + u) float
+        Their energy, and that of the forms outside the library.
     parts : (n, 4) float
         Parts of the variance of the windows, see `build_variance_parts`. [kWh^2]
     ignored : (n,) bool
@@ -115,6 +132,10 @@ class WindowColumns:
         Begin of each vehicle-day. [Unix s]
     measured : (n,) float
         Measured energy. [kWh]
+    unknown : tuple of UnknownForm
+        Forms outside the library.
+    guessed : frozenset of str
+        Signals of effects for which another one has to stand.
     """
 
     residual: Floats
@@ -137,6 +158,15 @@ class WindowColumns:
     cars: tuple[str, ...]
     dates: tuple[str, ...]
     measured: Floats
+    unknown: tuple[UnknownForm, ...] = ()
+    guessed: frozenset[str] = frozenset()
+
+    def find_largest(self, at: int) -> float:
+        """Return the upper end of the plausible range of an effect, or the usual size of a form."""
+        if at >= len(self.names):
+            return self.unknown[at - len(self.names)].size
+        effect = effects.get(self.names[at])
+        return max(abs(effect.low), abs(effect.high))
 
     def sum_days(self, values: Floats) -> Floats:
         """Return the sum of values of windows over each vehicle-day."""
@@ -169,6 +199,7 @@ def gather_window_columns(
     vehicles = get_names(table, "vehicle_id")
     loads = _gather_loads(table) * np.array(USUAL_SPREADS)
     ride = number_units(seen.ride)
+    known = np.isfinite(get_numbers(table, "battery_temperature_c"))
     return WindowColumns(
         residual=seen.measured - mean - more,
         shapes=loads[:, : len(SHAPES)],
@@ -190,6 +221,7 @@ def gather_window_columns(
         cars=tuple(str(vehicles[np.flatnonzero(seen.vehicle == car)[0]]) for car in range(int(seen.vehicle.max()) + 1)),
         dates=tuple(sorted(set(get_names(table, "date")))),
         measured=seen.measured,
+        guessed=frozenset() if known.mean() >= LEAST_KNOWN else frozenset({"pack_temperature"}),
     )
 
 

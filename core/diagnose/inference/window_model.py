@@ -17,16 +17,17 @@ Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 from copy import copy
 from dataclasses import replace
 from math import log
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES, WindowColumns
 from socast.core.fit.row_noise import compute_robust_weights, estimate_variance
-from socast.core.stats.random_effects import Integrated, integrate_out, number_units, sum_products, sum_units
+from socast.core.stats.random_effects import Integrated, SweepStep, integrate_out, sum_products
 
 HYPER: Final = 0.7
 """Standard deviation of the logarithm of a spread about its usual value."""
@@ -45,6 +46,21 @@ RIDES, DAYS, CARS, DATES = slice(0, S), slice(S, 2 * S), slice(2 * S, 3 * S + D)
 """Places of the logarithms of the spreads of each level."""
 
 
+class _Sums(NamedTuple):
+    """Hold weighted sums of products of q columns.
+
+    Parameters
+    ----------
+    rides : (r, S, q) float
+        Of each ride, with its loads.
+    days : (d, q, q) float
+        Of each vehicle-day, with each other.
+    """
+
+    rides: Floats
+    days: Floats
+
+
 class WindowModel:
     """Hold windows, the variance of each, and the spreads of the random effects.
 
@@ -55,6 +71,9 @@ class WindowModel:
 
     Attributes
     ----------
+    widening : (e,) float
+        Factor by which the prior of each expected effect is wider than declared, because its coefficient lies far from
+        the prior mean: the prior has the tails of a Cauchy distribution.
     log_spread : (4 S + D,) float
         Logarithm of the spread of each level and shape over its usual value.
     variance, weight : (n,) float
@@ -67,11 +86,14 @@ class WindowModel:
         n = len(columns.residual)
         self.columns, self.known = columns, np.zeros((n, 0))
         self.log_spread = np.zeros(DATES.stop)
+        self.widening = np.ones(len(columns.expected))
         counted = ~columns.ignored
         self.variance = np.full(n, max(FIRST_VARIANCE * float(np.var(columns.residual[counted])), 1e-12))
         self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
         self.has_cars = bool(np.bincount(kinds).max() > 1)
+        order = np.argsort(columns.day_of_ride, kind="stable")
+        self._rides_of_day = np.split(order, np.cumsum(np.bincount(columns.day_of_ride))[:-1])
         self.has_dates = len(columns.cars) > 1 and len(columns.start) > LEAST_DATES * len(columns.dates)
         for _ in range(ROUNDS):
             self._solve()
@@ -114,6 +136,12 @@ class WindowModel:
         other._solve()  # noqa: SLF001
         return other
 
+    def replace_columns(self, columns: WindowColumns) -> "WindowModel":
+        """Return the model with other columns that may be missing."""
+        other = copy(self)
+        other.columns = columns
+        return other
+
     def weigh(self, column: Floats) -> float:
         """Return the log evidence of a further column whose coefficient is standard normal, against none."""
         both = self.add(np.column_stack([self.known, column]))
@@ -140,16 +168,36 @@ class WindowModel:
         (d, q, q) float
             Sums of products.
         """
+        _, of_days = self._integrate(self.log_spread, self._sum(self.columns.stack(self.known, more)))
+        return of_days.sums
+
+    def multiply(self, further: Floats) -> tuple[Floats, Floats]:
+        """Return products of further columns with themselves, and with the coefficients and the energy.
+
+        Parameters
+        ----------
+        further : (n, m) float
+            Columns. [kWh]
+
+        Returns
+        -------
+        (m,), (F + 1, m) float
+            Products, without effects of rides and days.
+        """
         columns = self.columns
-        stacked, weight = columns.stack(self.known, more), self.weight / self.variance
-        out = np.empty((len(columns.start), stacked.shape[1], stacked.shape[1]))
-        for car in range(len(columns.cars)):  # one car at a time, because rides times columns squared take much memory
-            rows = np.flatnonzero(columns.car_of_day[columns.day] == car)
-            rides = sum_products(stacked[rows], weight[rows], number_units(columns.ride[rows]))
-            days = columns.day_of_ride[np.unique(columns.ride[rows])]
-            _, of_days = self._integrate(self.log_spread, rides, number_units(days))
-            out[np.unique(days)] = of_days.sums
-        return out
+        weight = (self.weight / self.variance)[:, np.newaxis]
+        left, loads = weight * further, weight * columns.shapes
+        of_days = self.of_days.inverse * self.of_days.variance
+        for unit, inner in ((columns.ride, self.of_rides.inner), (columns.day, of_days)):
+            own, beside = _place_loads(columns.shapes, unit), _place_loads(loads, unit)
+            expected = (inner @ (own @ left).reshape(-1, S, left.shape[1])).reshape(-1, left.shape[1])
+            after = (inner @ (own @ loads).reshape(-1, S, S)).reshape(-1, S)
+            left, loads = left - beside.T @ expected, loads - beside.T @ after
+        values = columns.stack(self.known)[:, self._source]
+        starts = np.arange(0, values.size + 1, len(self._source))
+        places = self._place[columns.day].ravel()
+        system = csr_array((values.ravel(), places, starts), (len(values), self.size + 1))
+        return np.einsum("nm,nm->m", further, left), (system.T @ left) * self.scale[:, np.newaxis]
 
     @property
     def coordinates(self) -> tuple[Ints, Ints]:
@@ -188,22 +236,25 @@ class WindowModel:
 
     # ---- sums and the linear system
 
-    def _sum_rides(self) -> Floats:
-        """Return the weighted sums of products of each ride."""
-        return sum_products(self.columns.stack(self.known), self.weight / self.variance, self.columns.ride)
+    def _sum(self, stacked: Floats) -> _Sums:
+        """Return the weighted sums of products of columns."""
+        columns, weight = self.columns, self.weight / self.variance
+        rides = _place_loads(columns.shapes * weight[:, np.newaxis], columns.ride) @ stacked
+        return _Sums(rides.reshape(-1, S, stacked.shape[1]), sum_products(stacked, weight, columns.day))
 
-    def _integrate(
-        self, log_spread: Floats, sums: Floats, day_of_ride: Ints | None = None
-    ) -> tuple[Integrated, Integrated]:
-        """Return the integration over the effects of rides, by default all, and of their vehicle-days."""
-        rides = integrate_out(sums, slice(0, S), np.exp(2.0 * log_spread[RIDES]))
-        days = sum_units(rides.sums, self.columns.day_of_ride if day_of_ride is None else day_of_ride)
+    def _integrate(self, log_spread: Floats, sums: _Sums) -> tuple[SweepStep, Integrated]:
+        """Return the integration over the effects of rides and of vehicle-days."""
+        rides = SweepStep.of(sums.rides[:, :, :S], sums.rides, np.exp(2.0 * log_spread[RIDES]))
+        days = sums.days.copy()
+        for day, own in enumerate(self._rides_of_day):
+            beside = rides.beside[own].reshape(-1, days.shape[1])
+            days[day] -= beside.T @ rides.gain[own].reshape(-1, days.shape[1])
         return rides, integrate_out(days, slice(0, S), np.exp(2.0 * log_spread[DAYS]))
 
     def _solve(self) -> None:
         """Compute the sums, and the coefficients at the current spreads."""
         self._place_columns()
-        self._sums = self._sum_rides()
+        self._sums = self._sum(self.columns.stack(self.known))
         self.of_rides, self.of_days = self._integrate(self.log_spread, self._sums)
         scale = self.scale
         self.total = self.assemble(self.of_days.sums) * np.outer(scale, scale)
@@ -224,6 +275,7 @@ class WindowModel:
         for k in range(common):
             source.append(S + D + base + k)
             place.append(np.full(days, at + k))
+        self._expected_at = [at + each.at for each in columns.expected]
         self._cars_at = at = at + common
         if self.has_cars:
             for k in range(S + D):
@@ -245,6 +297,7 @@ class WindowModel:
     def _scale(self, log_spread: Floats) -> Floats:
         """Return the spread of each coefficient, and 1 for the energy."""
         scale = np.ones(self.size + 1)
+        scale[self._expected_at] = self.widening
         scale[self._cars_at : self._dates_at] = np.tile(
             np.exp(log_spread[CARS]), len(self.columns.cars) if self.has_cars else 0
         )
@@ -257,7 +310,7 @@ class WindowModel:
 
     def compute_residual(self) -> Floats:
         """Return what the base, the known effects and all random effects leave of each window. [kWh]"""
-        width = self._sums.shape[1]
+        width = self._sums.days.shape[1]
         weights = np.zeros((len(self.columns.start), width))
         by_place = np.append(-self.coefficients * self.scale[:-1], 1.0)
         for source, place in zip(self._source, self._place.T, strict=True):
@@ -269,8 +322,11 @@ class WindowModel:
         return np.einsum("nq,nq->n", self.columns.stack(self.known), of_ride[self.columns.ride])
 
     def _estimate_noise(self) -> None:
-        """Estimate the variance of each window from its residual, and its weight."""
+        """Estimate the variance of each window from its residual, its weight, and the priors of expected effects."""
         residual = self.compute_residual()
+        variance = np.diag(self.covariance())[self._expected_at]
+        squares = (self.coefficients[self._expected_at] ** 2 + variance) * self.widening**2
+        self.widening = np.sqrt(np.maximum(0.5 + 0.5 * squares, 1.0))
         counted = ~self.columns.ignored
         self.variance = np.full(len(residual), 1.0)
         self.variance[counted] = estimate_variance(self.columns.parts[counted], residual[counted])
@@ -280,13 +336,14 @@ class WindowModel:
     def _evaluate(self, parameters: Floats) -> tuple[float, Floats]:
         """Return minus the log density and its gradient at log spreads and the log of a factor of all variances."""
         log_spread, factor = parameters[:-1], parameters[-1]
-        rides, days = self._integrate(log_spread, self._sums * np.exp(-factor))
+        sums = _Sums(*(each * np.exp(-factor) for each in self._sums))
+        rides, days = self._integrate(log_spread, sums)
         scale, size, n = self._scale(log_spread), self.size, float((self.weight > 0.0).sum())
         total = self.assemble(days.sums) * np.outer(scale, scale)
         lower = cho_factor(np.eye(size) + total[:size, :size], lower=True)
         found = cho_solve(lower, total[:size, size])
         value = 0.5 * float(total[size, size] - total[:size, size] @ found) + float(np.log(np.diag(lower[0])).sum())
-        value += 0.5 * float(rides.log_determinant.sum() + days.log_determinant.sum()) + 0.5 * n * factor
+        value += 0.5 * (rides.log_determinant + float(days.log_determinant.sum()) + n * factor)
         value += 0.5 * float(((log_spread / HYPER) ** 2).sum())
         inverse = cho_solve(lower, np.eye(size))
         by_spread = log_spread / HYPER**2
@@ -305,7 +362,19 @@ class WindowModel:
         by_sums = spread @ by_total.ravel()[self._flat].reshape(-1, width, width) @ spread.T
         by_days, by_variance = days.pass_back(by_sums)
         by_spread[DAYS] -= 2.0 * by_variance * np.exp(2.0 * log_spread[DAYS])
-        by_rides, by_variance = rides.pass_back(by_days[self.columns.day_of_ride])
-        by_spread[RIDES] -= 2.0 * by_variance * np.exp(2.0 * log_spread[RIDES])
-        by_factor = float((by_rides * rides.given).sum()) + 0.5 * n
+        times = np.empty_like(rides.beside)
+        for day, own in enumerate(self._rides_of_day):
+            times[own] = rides.beside[own] @ (-2.0 * by_days[day])
+        by_variance, by_own, by_beside = rides.pass_back(times, None, None)
+        by_spread[RIDES] += by_variance * np.exp(2.0 * log_spread[RIDES])
+        by_factor = float((by_days * sums.days).sum()) + 0.5 * n
+        by_factor -= 0.5 * float((by_own * rides.own).sum() + (by_beside * rides.beside).sum())
         return value, np.append(by_spread, by_factor)
+
+
+def _place_loads(loads: Floats, unit: Ints) -> csr_array:
+    """Return the loads of windows as a matrix of the loads of each unit by windows, (units S, n)."""
+    rows = (unit[:, np.newaxis] * S + np.arange(S)).ravel()
+    return csr_array(
+        (loads.ravel(), (rows, np.repeat(np.arange(len(loads)), S))), ((int(unit.max()) + 1) * S, len(loads))
+    )

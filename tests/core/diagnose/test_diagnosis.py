@@ -187,9 +187,8 @@ class TestHiddenEffect:
         assert {step.noise_floor_kwh for step in steps} == {diagnosis.error.noise_floor_kwh}
         assert steps[0].mae_kwh == pytest.approx(diagnosis.error.mae_refitted_kwh)
 
-    def test_leaves_no_structure_and_no_suggestion(self, diagnosis):
-        assert not diagnosis.structure_remains
-        assert diagnosis.suggestion is diagnosis.suggestion_file is None
+    def test_leaves_nothing_outside_the_library(self, diagnosis):
+        assert diagnosis.unknown == []
 
     def test_is_not_reported_if_excluded(self, recorded, model):
         without = diagnose(*recorded, model, without=(HIDDEN,), places=False)
@@ -200,8 +199,7 @@ class TestHiddenEffect:
 def test_nothing_is_reported_without_hidden_effect(of_nothing):
     assert of_nothing.verdict is None
     assert of_nothing.missing == []
-    assert not of_nothing.structure_remains
-    assert of_nothing.suggestion is of_nothing.suggestion_file is None
+    assert of_nothing.unknown == []
     assert len(of_nothing.steps) == 1
     assert "missing" not in {row.status for row in of_nothing.tested}
 

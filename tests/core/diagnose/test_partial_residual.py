@@ -11,9 +11,8 @@ from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.partial_residual import BINS, BINS_OF_CAR, compute_partial_residual
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
-from tests.core.diagnose.test_residual_structure import outside
 from tests.support.selections import select_effects
-from tests.support.synthetic_windows import make_tables, make_windows
+from tests.support.synthetic_windows import make_tables, make_unknown, make_windows
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +66,7 @@ def test_effect_of_time_is_shown_as_power():
 
 
 def test_profile_shows_unknown_cause_along_its_feature():
-    found = select_effects(make_tables(make_windows(), unknown=outside("crowded")))
+    found = select_effects(make_tables(make_windows(), unknown=make_unknown("crowded")))
     parts = {each.feature: each for each in profile_residual(found)}
     assert {"ambient_c", "occupants", "average_speed_kmh", "vehicle_id", "hour"} <= set(parts)
     for each in parts.values():

@@ -66,7 +66,7 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     printed = capsys.readouterr().out
     result = json.loads((here / "d.json").read_text())
     assert result["verdict"] == "cold_rolling"
-    assert {"model", "data", "error", "slices", "missing", "candidates", "structure", "steps"} <= set(result)
+    assert {"model", "data", "error", "slices", "missing", "candidates", "unknown", "steps"} <= set(result)
     assert "cold tyres: rolling resistance grows by" in printed
     command = result["missing"][0]["command"]
     assert command in printed
@@ -321,7 +321,7 @@ def test_diagnosis_does_not_use_final_hold_out_days(here, capsys, monkeypatch):
 def test_suggestion_is_written_to_given_file(made_up, here, capsys):
     made_up += [make_diagnosis(), make_empty_diagnosis()]
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
-    assert (here / "mine.py").read_text() == make_diagnosis().suggestion_file
+    assert (here / "mine.py").read_text() == make_diagnosis().unknown[0].file
     assert f"socasteffectscheck{here / 'mine.py'}" in "".join(capsys.readouterr().out.split())
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
     assert not (here / "none.py").exists()

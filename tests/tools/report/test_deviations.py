@@ -18,7 +18,13 @@ from socast.tools.report.diagnosis.deviations import (
 from socast.tools.report.diagnosis.page import print_step
 from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 from socast.tools.terminal.ride_source import RideSource
-from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_ranked_car
+from tests.support.diagnosis_result import (
+    make_deviation,
+    make_diagnosis,
+    make_empty_diagnosis,
+    make_ranked_car,
+    make_unknown_cause,
+)
 
 
 def test_change_is_stated_with_size_date_and_causes():
@@ -78,7 +84,7 @@ def test_less_energy_of_all_cars_is_called_less():
 def make_change(**changes):
     """Return a diagnosis that finds no effect but a change."""
     none = [{"effect": "none", "probability": 0.97}]
-    return make_empty_diagnosis(causes=none, structure_remains=True, deviations=[make_deviation(**changes)])
+    return make_empty_diagnosis(causes=none, unknown=[make_unknown_cause()], deviations=[make_deviation(**changes)])
 
 
 def test_change_is_the_headline_and_its_command_the_next_step():
@@ -140,7 +146,7 @@ def test_change_that_no_term_holds_is_to_be_checked(changes, held):
 
 
 def test_cause_of_an_implausible_coefficient_is_doubted():
-    result = make_empty_diagnosis(structure_remains=True, deviations=[make_implausible()])
+    result = make_empty_diagnosis(unknown=[make_unknown_cause()], deviations=[make_implausible()])
     words = "old rolling alone does not explain it: coefficient 0.0091 1/K, 95 % interval 0.005 to 0.013; NOT plausible"
     assert any(words in line for line in describe_verdict(result))
     assert any(words in line for line in describe_deviations(result))

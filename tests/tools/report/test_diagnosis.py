@@ -17,11 +17,17 @@ from socast.tools.report.diagnosis.figures import (
     draw_coefficients,
     draw_effects,
     draw_errors,
-    draw_remainder,
     draw_slices,
 )
+from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.terminal.ride_source import RideSource
-from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_missing_effect
+from tests.support.diagnosis_result import (
+    make_deviation,
+    make_diagnosis,
+    make_empty_diagnosis,
+    make_missing_effect,
+    make_unknown_cause,
+)
 from tests.support.html_pages import assert_axes_are_titled, read_page
 from tests.support.read_parts import find_read_fields
 
@@ -69,14 +75,10 @@ def test_terminal_shows_all_parts_in_order():
             "0.037 kWh"
         ),
         (
-            "Beside what is named, the remaining error has structure. Its cause is not in the library, or too weak to "
-            "be distinguished from other"
+            "Something outside the library is missing (probability 97 %), with 2.4 % (95 % interval 1.0 % to 3.8 %) of "
+            "the energy, like P = c · d · r; c = 3.1e+08 W/(m/s)."
         ),
-        (
-            "boosted trees predict 5.0 % of its variance on held-out days; "
-            "what is named explains 58 % of the predictable"
-        ),
-        "A term that fits the remaining error: P = (average speed)^2 v",
+        "Its form is uncertain; these data prefer: P = c · d · r (70 %); P = c · d² · r (25 %).",
         "Try cold_rolling first, in all cars: these data do not tell it from air_density.",
     ]
     places = [output.find(part) for part in parts]
@@ -90,30 +92,28 @@ def test_diagnosis_without_missing_effect_states_it():
     assert "No effect of the library is probable enough to be named." in output
     assert "No group of rides by weather, time, speed or vehicle differs from the others" in output
     assert "These rides show no missing effect." in output
-    assert "Write an effect of your own" in printed(make_empty_diagnosis(structure_remains=True))
+    assert "Write an effect of your own" in printed(make_empty_diagnosis(unknown=[make_unknown_cause()]))
 
 
-@pytest.mark.parametrize(
-    ("mae", "structure", "stated"), [(0.037, False, True), (0.038, False, False), (0.03, True, False)]
-)
-def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
+@pytest.mark.parametrize(("mae", "unknown", "stated"), [(0.037, 0, True), (0.038, 0, False), (0.03, 1, False)])
+def test_remaining_error_is_compared_with_noise_floor(mae, unknown, stated):
     steps = [{"effect": None, "mae_kwh": mae, "noise_floor_kwh": 0.037}]
-    lines = sentences.describe_remainder(make_diagnosis(structure_remains=structure, steps=steps))
+    lines = sentences.describe_remainder(make_diagnosis(unknown=unknown * [make_unknown_cause()], steps=steps))
     assert ("The remaining error does not exceed measurement noise." in lines) == stated
 
 
 @pytest.mark.parametrize(
-    ("first", "chance", "structure", "advice"),
+    ("first", "chance", "unknown", "advice"),
     [
-        ("none", 0.58, False, "Most probably, no effect is missing (58 %). More rides would decide it."),
-        ("none", 0.97, False, "These rides show no missing effect."),
-        ("payload", 0.45, False, "More rides would decide whether an effect is missing."),
-        ("none", 0.97, True, "No effect of the library is named. Write an effect of your own"),
+        ("none", 0.58, 0, "Most probably, no effect is missing (58 %). More rides would decide it."),
+        ("none", 0.97, 0, "These rides show no missing effect."),
+        ("payload", 0.45, 0, "More rides would decide whether an effect is missing."),
+        ("none", 0.97, 1, "No effect of the library is named, but something outside it is missing. Write an effect"),
     ],
 )
-def test_advice_agrees_with_the_probabilities(first, chance, structure, advice):
+def test_advice_agrees_with_the_probabilities(first, chance, unknown, advice):
     causes = [{"effect": first, "probability": chance}, {"effect": "snow", "probability": 0.03}]
-    empty = make_empty_diagnosis(causes=causes, credible_set=["none"], structure_remains=structure)
+    empty = make_empty_diagnosis(causes=causes, credible_set=["none"], unknown=unknown * [make_unknown_cause()])
     assert advice in printed(empty)
 
 
@@ -164,7 +164,10 @@ def test_effect_that_explains_too_little_to_be_added_is_said_to_be_so():
 
 def test_own_effect_is_not_advised_beside_a_named_one():
     """A term that fits what remains is offered for later."""
-    for result in (make_diagnosis(), make_empty_diagnosis(deviations=[make_deviation()], structure_remains=True)):
+    for result in (
+        make_diagnosis(),
+        make_empty_diagnosis(deviations=[make_deviation()], unknown=[make_unknown_cause()]),
+    ):
         assert "effect of your own" not in printed(result)
     assert "Add cold_rolling first, and see whether it is still there." in printed(make_diagnosis())
 
@@ -279,16 +282,13 @@ def test_bins_that_compare_marks_are_named_where_no_group_differs():
     assert "Off zero" not in printed(make_empty_diagnosis())
 
 
-def test_signs_of_structure_have_intervals():
-    structure = {"signs": ["trees", "shape"], "after": 0.05, "after_ci95": [0.02, 0.08], "shape": "stops * sun"}
-    structure |= {"shape_taken": 0.024, "shape_taken_ci95": [0.01, 0.038], "least": 0.8}
-    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure))
-    assert "predict 5.0 % (95 % interval 2.0 % to 8.0 %) of its variance" in trees
-    assert "explains 2.4 % (95 % interval 1.0 % to 3.8 %) of the squared error" in shape
+def test_one_form_outside_the_library_is_certain():
+    (line,) = sentences.describe_unknown(make_unknown_cause(forms={"P = c · d · r": 1.0}))
+    assert line.startswith("Something outside the library is missing (probability 97 %)")
 
 
 def test_noise_above_the_error_is_called_overestimated():
-    result = make_diagnosis(structure_remains=False, error={"mae_kwh": 0.0596, "noise_floor_kwh": 0.113})
+    result = make_diagnosis(unknown=[], error={"mae_kwh": 0.0596, "noise_floor_kwh": 0.113})
     assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]
     assert "100 %" not in printed(result)
     assert "does not exceed measurement noise" not in printed(result)
@@ -338,13 +338,13 @@ def test_page_has_every_figure_and_table(tmp_path):
     reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {
-        *("causes", "errors", "slices", "location", "effects", "coefficient-0", "coefficient-1", "structure"),
+        *("causes", "errors", "slices", "location", "effects", "coefficient-0", "coefficient-1"),
         *("partial-0", "partial-cars-0", "partial-slopes-0", "partial-1", "partial-cars-1", "partial-slopes-1"),
         *("profile-average_speed_kmh", "profile-vehicle_id"),
         *("cars", "change-0"),
     }
     text = " ".join(reader.text)
-    for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py contains it as an effect to edit", "58.0 %"):
+    for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py contains it as an effect to edit", "P = c · d · r"):
         assert part in text, part
 
 
@@ -373,7 +373,7 @@ def test_title_and_caption_that_repeat_stand_once(tmp_path):
     assert text.count(">Line: 95\u00a0% interval. Shaded: the plausible range.") == 1
 
 
-@pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])
+@pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_profiles])
 def test_figures_have_units_and_work_in_black_and_white(make):
     for one in make(make_diagnosis()):
         assert_axes_are_titled(one.figure)
@@ -470,7 +470,7 @@ def readers():
 
 
 def test_every_part_with_a_figure_has_a_reader(readers):
-    assert {"causes", "error", "steps", "slices", "error_location", "missing", "structure", "profiles"} <= set(readers)
+    assert {"causes", "error", "steps", "slices", "error_location", "missing", "profiles"} <= set(readers)
     assert {"deviations", "cars"} <= set(readers)
 
 

@@ -78,8 +78,8 @@ def compute_figures(records: Sequence[Record]) -> list[Figure]:
         _calibration_error(stated),
         _share("truth not in the library: wrong and sure", [is_wrong_and_sure(r) for r in outside], most=0.02),
         _share(
-            "truth not in the library, no name: structure remains",
-            [r["structure_remains"] for r in outside if not r["names"]],
+            "truth not in the library, no name: a cause outside it is told",
+            [r["unknown"] for r in outside if not r["names"]],
         ),
         _claims(none),
         _share(

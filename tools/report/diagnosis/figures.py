@@ -14,9 +14,8 @@ from socast.tools.report.diagnosis.partial_figures import (
     draw_coefficient_rows,
     draw_partial_residuals,
 )
-from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.figure_style import add_reference_line, draw_bars, escape_label, get_style, make_figure
+from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
 
 ROW: Final = 34
 """Height of a row of a chart. [px]"""
@@ -108,25 +107,6 @@ def draw_coefficients(rows: Sequence[NamedEffect]) -> list[Illustration]:
         title = f"{place + 1}. {name}: coefficient and plausible range"
         shown.append(Illustration(f"coefficient-{place}", title, caption, made, small=True))
     return shown
-
-
-def draw_remainder(result: Diagnosis) -> list[Illustration]:
-    """Draw how much of the remaining error can be predicted, and its mean along each feature."""
-    part = result.structure
-    bars = [
-        ("before what is named", part.before),
-        ("after it", part.after),
-    ]
-    known = [(what, PERCENT * max(value, 0.0)) for what, value in bars if value is not None]
-    shown = []
-    if any(share for _, share in known):
-        trace = draw_bars("predictable", get_style(3), [what for what, _ in known], [value for _, value in known])
-        made = make_figure([trace], 90 + ROW * len(known))
-        made.update_xaxes(title_text="Predictable share of the variance [%]", rangemode="tozero")
-        made.update_yaxes(title_text="Error", type="category", autorange="reversed")
-        caption = "Predicted by boosted trees on days to which they were not fitted. A predictable error has a cause."
-        shown.append(Illustration("structure", "Predictable part of the error", caption, made))
-    return [*shown, *draw_profiles(result)]
 
 
 def _forest(name: str, names: list[str], values: list[float], spans: Sequence[Any], *, place: int) -> go.Figure:

@@ -20,6 +20,7 @@ from socast.tools.report.diagnosis.deviation_figures import draw_deviations
 from socast.tools.report.diagnosis.location_figure import draw_location
 from socast.tools.report.diagnosis.location_sentences import describe_location
 from socast.tools.report.diagnosis.partial_figures import is_drawn, name_figure
+from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
@@ -43,7 +44,7 @@ DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingP
             else "What may be missing",
         ),
         "missing": figures.draw_effects,
-        "remains": figures.draw_remainder,
+        "remains": draw_profiles,
     }
 )
 """Functions that draw the figures of a section, by the key of the section."""
@@ -90,9 +91,8 @@ def print_step(result: Diagnosis, step: int, console: Console) -> None:
         return
     meaning, *more = sentences.describe_missing_effect(first)
     print_lines([sentences.describe_error(result)[0], f"Missing: {first.name}: {meaning}", *more], console)
-    if result.structure_remains:
-        signs = sentences.describe_signs(result)
-        print_lines(["The remaining error has further structure:", *signs], console)
+    for one in result.unknown:
+        print_lines(sentences.describe_unknown(one), console)
 
 
 def print_links(result: Diagnosis, path: Path, console: Console) -> None:
@@ -204,7 +204,7 @@ def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Sect
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
         Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),
         Section(
-            "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_structure(result)]
+            "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_unknown(result)]
         ),
         Section("candidates", "All candidate effects", " ".join(rivals), [tables.tabulate_candidates(result)]),
     ]

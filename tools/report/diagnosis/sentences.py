@@ -8,20 +8,23 @@ from socast.core.diagnose.gains import LEAST_GAIN
 from socast.core.diagnose.leading import find_leading
 from socast.core.diagnose.records import (
     NONE,
+    UNKNOWN,
     BiasedBin,
     CauseProbability,
     Diagnosis,
     HeldOutRides,
     NamedEffect,
+    UnknownCause,
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
 from socast.tools.report.cells import format_count, format_difference, format_percent
 from socast.tools.report.comparison.tables import UNITS, format_bin
-from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
+from socast.tools.report.diagnosis.coefficient_words import describe_coefficient, format_unit
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
 from socast.tools.report.diagnosis.location_sentences import advise_recording
+from socast.tools.report.record_table import format_digits
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
@@ -36,7 +39,7 @@ MOST_NAMED = 3
 """Number of missing effects above which the headline counts the others."""
 MOST_DATES = 6
 """Number of dates above which only their number, the first and the last one are written out."""
-CAUSE_NAMES = {NONE: "no missing effect"}
+CAUSE_NAMES = {NONE: "no missing effect", UNKNOWN: "a cause outside the library"}
 """Causes that are no effects, in words."""
 UNTESTED = {
     NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
@@ -340,55 +343,33 @@ def describe_remainder(result: Diagnosis) -> list[str]:
             f"Mean absolute error with all terms refitted to these rides for each car (in sample{added}): {errors} kWh "
             f"per ride; measurement noise {noise}."
         )
-        if floor is not None and last <= floor and not excessive and not result.structure_remains:
+        if floor is not None and last <= floor and not excessive and not result.unknown:
             lines.append("The remaining error does not exceed measurement noise.")
-    if result.structure_remains:
-        beside = "Beside what is named, the" if result.missing or result.deviations else "The"
-        lines.append(
-            f"{beside} remaining error has structure. Its cause is not in the library, or too weak to be distinguished "
-            "from other causes:"
-        )
-        lines += describe_signs(result)
-    elif result.steps:
-        complete = ": the data show no further effect" if result.missing else ""
-        lines.append(f"The remaining error has no structure that can be predicted{complete}.")
+    for one in result.unknown:
+        lines += describe_unknown(one)
+    if not result.unknown and result.steps:
+        lines.append("These rides show no cause outside the library.")
     return lines
 
 
-def describe_signs(result: Diagnosis) -> list[str]:
-    """Return the evidence that the remaining error has structure."""
-    structure, is_named = result.structure, bool(result.missing or result.deviations)
-    signs, taken = structure.signs, structure.taken
-    least = format_percent(structure.least, 0)
-    share = (
-        ""
-        if taken is None or not is_named
-        else f"; what is named explains {format_percent(taken, 0)} of the predictable part, less than {least}"
+def describe_unknown(one: UnknownCause) -> list[str]:
+    """Return what is missing and not in the library, and which other forms fit as well."""
+    unit = f" {format_unit(one.coefficient.unit)}".rstrip()
+    line = (
+        f"Something outside the library is missing (probability {format_percent(one.probability, 0)}), with "
+        f"{format_percent(one.energy_share)}{word_interval(one.energy_share_ci95)} of the energy, like {one.formula}; "
+        f"c = {format_digits(one.coefficient.value)}{unit}"
+        f"{f'. It resembles {one.resembles}, but no form of it fits as well' if one.resembles else ''}."
     )
-    texts = {
-        "trees": f"boosted trees predict {format_percent(structure.after)}{word_interval(structure.after_ci95)} of "
-        f"its variance on held-out days{share}",
-        "shape": f"the pattern {format_shape(structure.shape or '')} explains {format_percent(structure.shape_taken)}"
-        f"{word_interval(structure.shape_taken_ci95)} of the squared error on held-out days{share}",
-        "better": "; ".join(
-            f"{format_shape(shape)} explains more than {effect} does: {effect} may stand for another cause"
-            for effect, shape in structure.better.items()
-        ),
-        "days": f"vehicle-days differ {structure.days or 0.0:.1f} times as much as chance allows: an influence of the "
-        "day or of the driver is unknown",
-    }
-    return [f"- {texts[sign]}" for sign in signs if sign in texts]
-
-
-def format_shape(shape: str) -> str:
-    """Return a pattern, a carrier of energy times a function of a feature, with spaces and a multiplication sign."""
-    return shape.replace("_", " ").replace(" * ", " × ")
+    others = [f"{formula} ({format_percent(share, 0)})" for formula, share in list(one.forms.items())[:MOST_CAUSES]]
+    if len(others) < 2:
+        return [line]
+    return [line, f"Its form is uncertain; these data prefer: {'; '.join(others)}."]
 
 
 def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]:
-    """Return the formula of the suggested effect, and where its source is."""
-    formula = result.suggestion
-    if not formula:
+    """Return where the source of the form outside the library is."""
+    if not result.unknown:
         return []
     where = (
         f"{file} contains it as an effect to edit. Check it with: socast effects check {file}"
@@ -397,7 +378,7 @@ def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]
     )
     if (first := find_leading(result)) is not None:
         where = f"Add {first.effect} first, and see whether it is still there. {where}"
-    return [f"A term that fits the remaining error: {formula}", where]
+    return [where]
 
 
 def find_recommended(result: Diagnosis) -> str | None:
@@ -440,10 +421,10 @@ def _advise_without_effect(result: Diagnosis) -> str:
         who = name_deviating(result.deviations[0])
         return f"Record more rides: how much {who} use{'' if who == 'all cars' else 's'} more or less is not certain."
     first = result.causes[0] if result.causes else None
-    if result.structure_remains:
+    if result.unknown:
         return (
-            "No effect of the library is named. Write an effect of your own for the structure that remains: socast "
-            "effects new."
+            "No effect of the library is named, but something outside it is missing. Write an effect of your own from "
+            "its form: socast diagnose --suggest FILE.py."
         )
     if first is not None and first.effect != NONE:
         return "More rides would decide whether an effect is missing."

@@ -2,9 +2,16 @@
 
 from typing import Final
 
-from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, NamedEffect, SliceBias, TestedEffect
+from socast.core.diagnose.records import (
+    Diagnosis,
+    EstimatedCoefficient,
+    NamedEffect,
+    SliceBias,
+    TestedEffect,
+    UnknownCause,
+)
 from socast.core.formatting import format_minus
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_percent
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row
 from socast.tools.report.diagnosis import sentences
 from socast.tools.report.diagnosis.coefficient_words import format_unit
 from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
@@ -14,6 +21,11 @@ BIAS_NOTE: Final = (
     "vehicle-days and confirmed on the other half. q: expected share of false slices among this slice "
     "and those above it."
 )
+UNKNOWN_NOTE: Final = (
+    "Form: a load of the car times functions of the conditions. It was chosen among thousands, so it may stand for "
+    "another that is like it."
+)
+"""What the forms outside the library are."""
 MISSING_NOTE: Final = (
     "Plausible ones first, then by gain, each beside the others. Gain: reduction of the squared error that the terms "
     "of the model cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
@@ -73,27 +85,15 @@ def tabulate_errors(result: Diagnosis) -> ReportTable:
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows, notes)
 
 
-def tabulate_structure(result: Diagnosis) -> ReportTable:
-    """Return the predictable share of the error before and after what is named, and that of a plain pattern."""
-    part = result.structure
-    values = (
-        ("predictable before what is named", part.before, None),
-        ("predictable after it", part.after, part.after_ci95),
-        ("explained by it", part.taken, None),
-        ("required for it to explain all", part.least, None),
-        (
-            "explained by a plain pattern that remains",
-            part.shape_taken if "shape" in part.signs else None,
-            part.shape_taken_ci95,
-        ),
+def tabulate_unknown(result: Diagnosis) -> ReportTable:
+    """Return what is missing and not in the library, by the form that fits best."""
+    return tabulate_records(
+        "Outside the library",
+        result.unknown,
+        UnknownCause,
+        notes=(UNKNOWN_NOTE,),
+        formats={**FORMATS, "coefficient": format_coefficient},
     )
-    rows = tuple(
-        Row(what, (Cell(f"{format_percent(value)}{sentences.word_interval(limits)}"),))
-        for what, value, limits in values
-        if value is not None
-    )
-    note = "Predictable: share of the variance that boosted trees predict on days to which they were not fitted."
-    return ReportTable("Remaining error", "structure", ("share",), rows, (note,))
 
 
 def format_coefficient(coefficient: EstimatedCoefficient) -> str:

@@ -28,7 +28,7 @@ def make_families(columns):
 
 @pytest.fixture(scope="module")
 def model():
-    return WindowModel(draw_columns(5))
+    return WindowModel(draw_columns(5, dates=5))
 
 
 @pytest.fixture(scope="module")

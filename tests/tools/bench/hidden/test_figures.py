@@ -33,7 +33,7 @@ def make_record(part="one", outcome="right", probability=0.95, **changes):
         "set_holds": None if outcome == "none" else outcome == "right",
         "found": 1,
         "deviations": [],
-        "structure_remains": part == "outside",
+        "unknown": part == "outside",
         "missing": [] if outcome == "none" else [{"effect": effect}],
         "intervals": [{"right": True, "holds": True}],
         "left": 0.5,
@@ -96,7 +96,7 @@ class TestFigures:
         names = [{"effect": name, "probability": p, "right": False} for name, p in (("age", 0.6), ("payload", 0.95))]
         records = [make_record("outside", "wrong", names=names), make_record("outside", "none")]
         assert self.select_figure(records, "not in the library: wrong and sure").value == 0.5
-        remains = self.select_figure(records, "structure remains")
+        remains = self.select_figure(records, "a cause outside it is told")
         assert (remains.value, remains.of) == (1.0, 1)
 
     def test_cars_and_changes_that_are_blamed_falsely_are_counted_in_all_data_sets(self):

@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from socast.core.diagnose.free_form.terms import FreeTerm, Modulator
+from socast.core.diagnose.forms.terms import FreeTerm, Modulator
 from socast.core.effects.declaration import Parameter
 from socast.core.effects.source_file import render_source
 

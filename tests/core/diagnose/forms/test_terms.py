@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.core.diagnose.free_form.terms import choose_limits
+from socast.core.diagnose.forms.terms import choose_limits
 
 
 @pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [1.0, 2.0], [0.0, 0.0, 0.0, 5.0]])

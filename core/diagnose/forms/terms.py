@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.diagnose.free_form.building_blocks import Carrier, Variable
+from socast.core.diagnose.forms.building_blocks import Carrier, Variable
 
 QUANTILES: Final = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Quantiles of the windows at which limits and scales are tried."""
@@ -42,11 +42,6 @@ class Modulator(NamedTuple):
         """Return the function of values of the variable, (n,)."""
         return SHAPES[self.shape](x, self.at)
 
-    @property
-    def effort(self) -> int:
-        """Complexity of the function. [1]"""
-        return (1 if self.shape == "linear" else 2) + bool(self.variable.follows)
-
 
 SHAPES: Final[Mapping[str, Callable[[Floats, float], Floats]]] = MappingProxyType(
     {
@@ -69,24 +64,9 @@ class FreeTerm(NamedTuple):
     modulators: tuple[Modulator, ...] = ()
 
     @property
-    def effort(self) -> int:
-        """Complexity of the term. [1]"""
-        return sum(each.effort for each in self.modulators)
-
-    @property
     def variables(self) -> frozenset[str]:
         """Names of the variables of its modulators."""
         return frozenset(each.variable.name for each in self.modulators)
-
-    def is_plainer_than(self, other: "FreeTerm") -> bool:
-        """Return whether a term is simpler than another and depends on nothing else.
-
-        Both have the same carrier; with different carriers, the other term depends on speed in addition, because
-        carriers differ mainly by their dependence on speed.
-        """
-        same = self.carrier.name == other.carrier.name or "speed" in other.variables - self.variables
-        known = other.variables | {each.variable.follows for each in other.modulators}
-        return same and self.variables <= known and self.effort < other.effort
 
 
 def list_modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:

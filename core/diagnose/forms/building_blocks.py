@@ -63,9 +63,7 @@ class Variable(NamedTuple):
         Value in each row of the window table, (n,) float, never NaN: unknown values are replaced as for effects
         (`socast.core.signals.signals`).
     shapes : tuple of str
-        Functions of it that are tried, see `socast.core.diagnose.free_form.terms`.
-    follows : str
-        Name of a simpler variable with which it is correlated, if any.
+        Functions of it that are tried, see `socast.core.diagnose.forms.terms`.
     """
 
     name: str
@@ -76,12 +74,13 @@ class Variable(NamedTuple):
     code: str
     value: Callable[[Table], Floats]
     shapes: tuple[str, ...]
-    follows: str = ""
 
 
 def _numbers(table: Table, name: str, unknown: float | Floats = 0.0) -> Floats:
-    """Return a column of the window table with unknown values replaced."""
-    column = np.asarray(table[name], dtype=np.float64)
+    """Return a column of the window table with unknown values replaced, also where there is no such column."""
+    column = np.asarray(
+        table[name] if name in table else np.full(len(np.asarray(table["start_s"])), np.nan), np.float64
+    )
     return np.where(np.isnan(column), unknown, column)
 
 
@@ -99,6 +98,21 @@ def _darkness(table: Table) -> Floats:
     latitude, longitude = (np.radians(np.asarray(table[f"{name}_start_deg"])) for name in ("latitude", "longitude"))
     depth = np.nan_to_num(-sine_of_elevation(time, latitude, longitude))
     return np.clip(depth / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+
+
+def _headwind(table: Table) -> Floats:
+    """Return the wind against the way from the first to the last position of each window, 0 where it is unknown."""
+    if "latitude_end_deg" not in table:
+        return np.zeros(len(np.asarray(table["start_s"])))
+    latitude, longitude = (
+        np.radians([np.asarray(table[f"{name}_{end}_deg"], dtype=np.float64) for end in ("start", "end")])
+        for name in ("latitude", "longitude")
+    )
+    north, east = latitude[1] - latitude[0], (longitude[1] - longitude[0]) * np.cos(latitude[0])
+    wind, origin = _numbers(table, "wind_speed_kmh") * KMH, np.radians(_numbers(table, "wind_from_deg"))
+    along = north * np.cos(origin) + east * np.sin(origin)
+    way = np.hypot(north, east)
+    return np.nan_to_num(wind * np.divide(along, way, out=np.zeros(len(way)), where=way > 0.0))
 
 
 def _grade(table: Table) -> Floats:
@@ -200,7 +214,6 @@ VARIABLES: Final = (
         "pack_temperature",
         _pack,
         _HINGES,
-        "ambient",
     ),
     Variable(
         "speed",
@@ -262,6 +275,7 @@ VARIABLES: Final = (
         lambda t: _numbers(t, "wind_speed_kmh") * KMH,
         ("linear", "square", "above"),
     ),
+    Variable("headwind", "wh", "headwind", "m/s", ("headwind",), "headwind", _headwind, ("linear", "square")),
     Variable(
         "occupants",
         "N",

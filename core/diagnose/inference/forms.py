@@ -1,0 +1,147 @@
+"""Choose forms outside the library that may explain windows: a carrier of energy times functions of variables.
+
+Each form is weighed alone beside what a model knows, as an effect of the library is. The best forms are tried with a
+second and a third variable. All forms share the prior probability that something outside the library is missing: half
+of it belongs to those of one variable, half of the rest to those of two, and so on.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import log, prod
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import solve_triangular
+
+from socast.core.batch import Floats
+from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
+from socast.core.diagnose.forms.suggestion import format_formula
+from socast.core.diagnose.forms.terms import FreeTerm, list_modulators
+from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
+from socast.core.diagnose.inference.window_columns import UnknownForm
+from socast.core.diagnose.inference.window_model import WindowModel
+
+SHARE: Final = 0.05
+"""Standard deviation beforehand of the energy of a form, as a share of all energy. [1]"""
+KEPT: Final = 16
+"""Number of forms that are kept each time."""
+LEAST_DATES: Final = 6.0
+"""Effective number of dates on which a form must act. What acts on fewer is an episode. [1]"""
+ALIKE: Final = 2
+"""Largest number of kept forms with the same carrier and variables."""
+EXTENDED: Final = (6, 3)
+"""Numbers of forms that are tried with a second and with a third variable."""
+
+
+class _Weighed(NamedTuple):
+    """Hold forms, the energy of each per unit of its coefficient, (n, m), and its log odds against none."""
+
+    forms: list[UnknownForm]
+    energy: Floats
+    odds: Floats
+
+
+class FormSearch:
+    """Provide the forms on some windows.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Window table.
+    measured : float
+        Energy of all windows. [kWh]
+    """
+
+    def __init__(self, table: pd.DataFrame, measured: float) -> None:
+        self._measured = measured
+        values = {variable.name: variable.value(table) for variable in VARIABLES}
+        self._modulators = {each.name: list(list_modulators(each, values[each.name])) for each in VARIABLES}
+        self._values = {
+            modulator: modulator.evaluate(values[name])
+            for name, modulators in self._modulators.items()
+            for modulator in modulators
+        }
+        self._carriers = {carrier.name: carrier.energy(table) for carrier in CARRIERS}
+        sizes = [len(each) for each in self._modulators.values()]
+        numbers = [sum(map(prod, combinations(sizes, of))) for of in range(len(EXTENDED) + 2)]
+        self._log_share = [
+            log(0.5 ** max(of, 1) / (len(CARRIERS) * max(number, 1))) for of, number in enumerate(numbers)
+        ]
+
+    def extend(self, model: WindowModel) -> WindowModel:
+        """Return the model with the best forms beside what it knows among the columns that may be missing."""
+        columns = model.columns
+        found = [self._weigh(model, FreeTerm(carrier)) for carrier in CARRIERS]
+        for variables, extended in enumerate(EXTENDED, 1):
+            heads: dict[tuple[str, frozenset[str]], FreeTerm] = {}
+            for form, _, _ in _rank(found):
+                if len(form.term.modulators) == variables and len(heads) < extended:
+                    heads.setdefault((form.term.carrier.name, form.term.variables), form.term)
+            found += [self._weigh(model, head) for head in heads.values()]
+        known = {format_formula(form.term) for form in columns.unknown}
+        alike: Counter[tuple[str, frozenset[str]]] = Counter()
+        chosen = []
+        for form, energy, _ in _rank(found):
+            key = form.term.carrier.name, form.term.variables
+            if alike[key] < ALIKE and alike.total() < KEPT:
+                alike[key] += 1
+                chosen += [(form, energy)] if format_formula(form.term) not in known else []
+        return model.replace_columns(
+            replace(
+                columns,
+                effects=np.column_stack([columns.effects, *(energy for _, energy in chosen)]),
+                unknown=(*columns.unknown, *(form for form, _ in chosen)),
+            )
+        )
+
+    def _weigh(self, model: WindowModel, head: FreeTerm) -> _Weighed:
+        """Return a form without variables and those with one variable more, or only these if it has a variable."""
+        column = self._carriers[head.carrier.name]
+        for each in head.modulators:
+            column = column * self._values[each]
+        longer = [
+            FreeTerm(head.carrier, (*head.modulators, each))
+            for name, modulators in self._modulators.items()
+            for each in modulators
+            if name not in head.variables
+        ]
+        terms = longer if head.modulators else [head, *longer]
+        if not terms:
+            return _Weighed([], np.empty((len(column), 0)), np.empty(0))
+        factors = [self._values[each.modulators[-1]] if each is not head else 1.0 for each in terms]
+        energy = np.column_stack([column * factor for factor in factors])
+        size = SHARE * self._measured / np.maximum(np.abs(energy).sum(axis=0), 1e-300)
+        forms = [
+            UnknownForm(term, one, self._log_share[len(term.modulators)])
+            for term, one in zip(terms, size.tolist(), strict=True)
+        ]
+        odds = _weigh(model, energy * size) + np.array([form.log_share for form in forms])
+        dates = count_dates(np.abs(energy).T, model.columns.date_of_day[model.columns.day])
+        return _Weighed(forms, energy, np.where(dates < LEAST_DATES, -np.inf, odds))
+
+
+def _weigh(model: WindowModel, energy: Floats) -> Floats:
+    """Return the log evidence of each form alone; minus infinity where a free base could explain it."""
+    size = model.size
+    raw, beside = model.multiply(energy)
+    lower = np.linalg.cholesky(np.eye(size) + model.total[:size, :size])
+    along = solve_triangular(lower, beside[:-1], lower=True)
+    match = beside[-1] - along.T @ solve_triangular(lower, model.total[:size, size], lower=True)
+    own = np.maximum(raw - (along**2).sum(axis=0), 0.0)
+    loose = solve_triangular(factorise_free(model), beside[:-1], lower=True)
+    left = raw - (loose**2).sum(axis=0)
+    return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, positive=False), -np.inf)
+
+
+def _rank(found: Sequence[_Weighed]) -> list[tuple[UnknownForm, Floats, float]]:
+    """Return the forms that are identifiable with their energies and log odds, the most probable first."""
+    rows = [
+        (form, weighed.energy[:, at], odds)
+        for weighed in found
+        for at, (form, odds) in enumerate(zip(weighed.forms, weighed.odds.tolist(), strict=True))
+        if np.isfinite(odds)
+    ]
+    return sorted(rows, key=lambda row: -row[2])

@@ -1,0 +1,89 @@
+"""Describe what is missing and not in the library: its form, its size, and the effect that it resembles."""
+
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from socast.core import effects
+from socast.core.batch import Floats
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file
+from socast.core.diagnose.forms.terms import FreeTerm
+from socast.core.diagnose.gains import compute_correlation
+from socast.core.diagnose.inference.posterior import Inference
+from socast.core.diagnose.inference.window_columns import WindowColumns
+from socast.core.diagnose.records import EstimatedCoefficient, UnknownCause
+from socast.core.effects.declaration import VARIANT
+from socast.core.records import make_interval
+
+REMAINING: Final = 0.02
+"""Probability from which a cause of what remains is listed."""
+LIKE: Final = 0.5
+"""Correlation from which a form resembles an effect of the library on the same load. [1]"""
+LOADS: Final = MappingProxyType(
+    {
+        "braking_force": "braking",
+        "traction": "traction",
+        "wheel_power": "traction",
+        "tyre_load": "rolling",
+        "stop_rate": "stopping",
+        "grade": "climbing",
+        "speed": "drag",
+    }
+)
+"""Signals that effects read -> load on which the effect acts, the most specific first; without one, a power."""
+CONDITIONS: Final = MappingProxyType(
+    {
+        "pack_temperature": "ambient",
+        "sun_sine": "darkness",
+        "solar": "darkness",
+        "water": "precipitation",
+        "snow": "precipitation",
+    }
+)
+"""Signals and variables that stand for the same condition."""
+MOTION: Final = frozenset({*LOADS, "acceleration", "air_density", "dt", "mass", "rolling_resistance"})
+"""Signals that belong to the load and not to the conditions."""
+
+
+def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
+    """Return the records of the likely causes outside the library, the most probable first."""
+    out = []
+    for one in inference.findings:
+        if one.form is None or not one.is_likely:
+            continue
+        size = one.size.estimate
+        share = float(np.abs(one.column).sum() / seen.measured.sum())
+        low, high = size.interval
+        out.append(
+            UnknownCause(
+                formula=one.variant,
+                probability=one.probability,
+                energy_share=share * size.value,
+                energy_share_ci95=make_interval(share * low, share * high),
+                coefficient=EstimatedCoefficient(
+                    value=size.value, ci95=make_interval(low, high), unit=derive_unit(one.form)
+                ),
+                resembles=find_resembling(one.form, one.column, inference.columns),
+                forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
+                file=format_source_file(one.form, size.value, len(seen.measured)),
+            )
+        )
+    return out
+
+
+def find_resembling(form: FreeTerm, energy: Floats, columns: WindowColumns) -> str | None:
+    """Return the effect of the library that is most like a form: on the same load, with conditions that it shares."""
+    conditions = {CONDITIONS.get(name, name) for name in form.variables}
+    found: dict[str, float] = {}
+    for at, name in enumerate(columns.names):
+        arguments = effects.get(name).arguments
+        load = next((load for signal, load in LOADS.items() if signal in arguments), "auxiliary")
+        read = {CONDITIONS.get(each, each) for each in arguments if each not in MOTION}
+        if load == form.carrier.name and read and read <= conditions:
+            found[name.partition(VARIANT)[0]] = max(
+                found.get(name, 0.0), compute_correlation(columns.effects[:, at], energy)
+            )
+    best = max(found, key=lambda name: found[name], default=None)
+    return best if best is not None and found[best] > LIKE else None

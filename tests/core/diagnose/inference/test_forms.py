@@ -1,0 +1,90 @@
+"""What is outside the library is told as such, by a form like it, and takes no name of an effect."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from socast.core.diagnose.inference.forms import ALIKE, KEPT, LEAST_DATES, FormSearch
+from socast.core.diagnose.inference.window_columns import gather_window_columns
+from socast.core.diagnose.inference.window_model import WindowModel
+from socast.core.diagnose.records import UNKNOWN
+from tests.support.inferences import infer
+from tests.support.synthetic_windows import gather_with_model, make_tables, make_unknown, make_windows
+
+VARIABLES = {"crowded": "occupants", "low battery": "charge", "gusty": "wind"}
+
+
+@cache
+def infer_unknown(form):
+    """Return what is found where a cause outside the library is planted."""
+    *_, found = infer(make_tables(make_windows(), unknown=make_unknown(form), of_day=0.01), scopes=False)
+    return found
+
+
+@pytest.mark.parametrize("form", VARIABLES)
+def test_cause_outside_the_library_is_found_by_a_form_like_it(form):
+    likely = [one for one in infer_unknown(form).findings if one.is_likely]
+    assert likely[0].form is not None
+    assert VARIABLES[form] in likely[0].form.variables
+    assert likely[0].probability > 0.95
+    explained = np.sum([one.size.estimate.value * one.column for one in likely], axis=0)
+    assert np.corrcoef(explained, make_unknown(form))[0, 1] > 0.8
+
+
+@pytest.mark.parametrize("form", VARIABLES)
+def test_no_effect_is_named_for_it(form):
+    assert [one.effect for one in infer_unknown(form).findings if one.is_likely and one.form is None] == []
+
+
+def test_its_forms_share_the_probability():
+    first = infer_unknown("low battery").findings[0]
+    assert sum(first.forms.values()) == pytest.approx(1.0)
+    assert list(first.forms.values()) == sorted(first.forms.values(), reverse=True)
+    assert first.causes[UNKNOWN] > 0.9
+    assert first.effect == first.variant
+
+
+def test_an_effect_of_the_library_is_no_unknown_cause():
+    *_, found = infer(make_tables(make_windows(), {"headwind": 0.06}, of_day=0.01), scopes=False)
+    (only,) = (one for one in found.findings if one.is_likely)
+    assert only.effect == "headwind"
+    assert only.causes.get(UNKNOWN, 0.0) < 0.1
+
+
+def test_without_a_cause_no_form_is_likely():
+    found = [infer(make_tables(make_windows(3, 16, seed=seed), seed=seed), scopes=False)[2] for seed in range(4)]
+    assert sum(one.is_likely for each in found for one in each.findings if one.form) <= 1
+
+
+def test_search_keeps_few_forms_of_the_same_kind_that_act_on_many_dates():
+    windows, model = gather_with_model(make_tables(make_windows(), unknown=make_unknown("crowded")))
+    search = FormSearch(windows.table, float(windows.measured.sum()))
+    once = search.extend(WindowModel(gather_window_columns(windows, model)))
+    columns = once.columns
+    assert 0 < len(columns.unknown) <= KEPT
+    assert columns.effects.shape[1] == len(columns.names) + len(columns.unknown)
+    kinds = [(each.term.carrier.name, each.term.variables) for each in columns.unknown]
+    assert max(map(kinds.count, kinds)) <= ALIKE
+    for energy in columns.effects[:, len(columns.names) :].T:
+        of_date = np.bincount(columns.date_of_day[columns.day], np.abs(energy))
+        assert of_date.sum() ** 2 / (of_date**2).sum() >= LEAST_DATES
+    again = search.extend(once).columns  # nothing is kept twice
+    assert len({(*kind,) for kind in kinds}) <= len(columns.unknown)
+    assert len(again.unknown) == len(columns.unknown)
+
+
+def test_products_of_columns_are_those_of_the_sums_of_days(rng):
+    windows, model = gather_with_model(make_tables(make_windows(), of_day=0.01))
+    inner = WindowModel(gather_window_columns(windows, model))
+    further = rng.normal(size=(len(windows.measured), 3))
+    sums = inner.sum_days(further)
+    raw, beside = inner.multiply(further)
+    last = sums.shape[1] - 1
+    np.testing.assert_allclose(raw, [sums[:, at, at].sum() for at in range(last - 3, last)])
+    np.testing.assert_allclose(beside[-1], sums[:, last - 3 : last, last].sum(axis=0))
+    both = inner.add(further)  # the same products, as known effects
+    rows = both.locate_known()
+    np.testing.assert_allclose(np.diag(both.total[rows, rows]), raw)
+    np.testing.assert_allclose(both.total[rows, -1], beside[-1])
+    np.testing.assert_allclose(both.total[rows, : rows.start], beside[: rows.start].T, atol=1e-9 * np.abs(beside).max())
