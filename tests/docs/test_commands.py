@@ -17,6 +17,7 @@ from tests.support.documented_commands import Shell, documented_commands, first_
 from tests.support.error_figure import FIGURE, error_figure
 from tests.support.pages import PAGES, TUTORIAL, blocks, name_of, read
 from tests.support.paths import ROOT
+from tests.support.remembered_results import diagnosing_once
 
 pytestmark = pytest.mark.long
 COMMANDS = {
@@ -34,7 +35,8 @@ AIR_DENSITY = 1.28
 @pytest.fixture(scope="module")
 def shell(tmp_path_factory):
     """Return a shell that runs the commands of all pages in one folder, each command once."""
-    return Shell(prepare_folder(tmp_path_factory.mktemp("pages")))
+    with diagnosing_once():
+        yield Shell(prepare_folder(tmp_path_factory.mktemp("pages")))
 
 
 @pytest.fixture(scope="module")
