@@ -111,7 +111,7 @@ def draw_splits(dates: np.ndarray, count: int | None) -> Iterator[tuple[np.ndarr
 
 
 @cache
-def evaluate_fits(car: str, count: int | None, recipe: str = RECIPE) -> Result:
+def evaluate_fits(car: str, count: int | None, recipe: str) -> Result:
     """Return the error of rides of other dates, and the coefficients outside of their plausible ranges.
 
     Parameters
@@ -212,7 +212,7 @@ def main() -> None:
     warnings.filterwarnings("ignore")
     print(f"{'car':18} {'rides':>5} {'MAE, kWh':>9} {'before':>7}  outside of their ranges")
     for car, count in list_cases():
-        tables, found = load_tables(car), evaluate_fits(car, count)
+        tables, found = load_tables(car), evaluate_fits(car, count, RECIPE)
         before: Any = "" if options.before is None else f"{measure_other(options.before, tables, count):.4f}"
         names = ", ".join(f"{name} in {n} fits" for name, n in found.outside.items()) or "none"
         print(f"{CARS[car]:18} {count or 'all':>5} {found.error:9.4f} {before:>7}  {names}")
