@@ -14,7 +14,7 @@ from socast.core.diagnose.add import add
 from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel, encode_model
-from tests.support import picture_figure
+from tests.support import own_car_figure, picture_figure
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def diagnosing_once() -> Iterator[None]:
 
     diagnose, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (diagnosis, picture_figure):
+        for module in (diagnosis, picture_figure, own_car_figure):
             patch.setattr(module, "diagnose", diagnose)
         patch.setattr(add, "add_effect", add_effect)
         yield
@@ -63,4 +63,6 @@ def _encode(value: Any) -> bytes:
     """Return bytes that differ where values do."""
     if isinstance(value, pd.DataFrame):
         return repr(list(value)).encode() + pd.util.hash_pandas_object(value).to_numpy().tobytes()
-    return encode_model(value) if isinstance(value, LinearModel) else repr(value).encode()
+    if isinstance(value, LinearModel):
+        return encode_model(value)
+    return repr(tuple(value) if isinstance(value, list) else value).encode()
