@@ -47,11 +47,11 @@ lint: $(INSTALLED)  ## the rules of ruff, and its format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(INSTALLED)  ## the types of all code
-	$(BIN)/mypy
+types: $(INSTALLED)  ## the types of all code, by two processes
+	$(BIN)/mypy -n 2
 
-examples: $(INSTALLED)  ## the examples in docstrings
-	$(BIN)/python -m pytest -n auto --doctest-modules socast
+examples: $(INSTALLED)  ## the examples in docstrings, by one process: each would import all of socast
+	$(BIN)/python -m pytest --doctest-modules socast
 
 docs: $(INSTALLED)  ## the documentation, into build/docs; a warning is an error
 	$(BIN)/sphinx-build -W --keep-going -n -q -j auto -b html docs build/docs

@@ -25,6 +25,13 @@ os.environ.pop("COLUMNS", None)  # parallel workers have it, and the pages show 
 
 MORE_WORKERS = 1
 """Number of parallel workers beyond one for each processor."""
+OF_WORKERS = {
+    "OPENBLAS_NUM_THREADS": "1",  # the workers have all processors; more threads would wait for each other
+    "OMP_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(2**25),  # to give each large array back, and get it anew, takes a third of a fit
+    "MALLOC_TRIM_THRESHOLD_": str(2**28),
+}
+"""Environment of the parallel workers and of all processes that they start."""
 COMPILER = pytest.StashKey[Popen[str]]()
 """Process that compiles the kernels while the parallel workers collect tests."""
 
@@ -33,8 +40,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile the kernels once, before parallel workers would each compile them, and let these keep the order."""
     config.addinivalue_line("markers", "long: the file takes 8 s or more; parallel workers start with such files")
     if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
-        for library in ("OPENBLAS", "OMP"):  # the workers have all processors; more threads would wait for each other
-            os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+        for name, value in OF_WORKERS.items():
+            os.environ.setdefault(name, value)
         config.stash[COMPILER] = start_compiler()
         config.option.loadscopereorder = False
 

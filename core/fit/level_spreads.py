@@ -3,8 +3,7 @@
 They are those of the largest evidence, with a wide prior about what simulated fleets show. The derivatives of the
 evidence are exact: numerical ones are so inexact that the coefficients of a fit would depend on the last digits of its
 input. Each level of the elimination maps sums A to B = A - A_s M A_s', with M = (V^-1 + A_ss)^-1 and the variances V of
-the effects on the columns s. A derivative dA becomes dB = P dA P', with P = I - A_s M E_s', so the derivatives by the
-sums are passed back level by level.
+the effects on the columns s. The derivatives by the sums are passed back level by level.
 
 References
 ----------
@@ -12,12 +11,12 @@ Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT 2006, eq. (2.3
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     SHARED,
@@ -28,7 +27,7 @@ from socast.core.fit.nested_effects import (
     compute_coefficients,
     integrate_car_factor,
 )
-from socast.core.stats.random_effects import integrate_out, sum_units
+from socast.core.stats.random_effects import SweepStep, sum_units
 
 MOST_RIDES: Final = 500
 """Number of rides that suffices to estimate the standard deviations of the levels."""
@@ -73,33 +72,86 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
     return Gaussian(mean, covariance + (means - mean).T @ ((means - mean) * weight[:, np.newaxis]))
 
 
-def differentiate_level_evidence(
-    products: RideProducts, prior: Gaussian, spreads: LevelSpreads
-) -> tuple[float, LevelSpreads]:
-    """Return the logarithm of the evidence, and its derivatives by the logarithms of the standard deviations."""
-    p = products.coefficients
-    shared = slice(p + 1, p + 1 + SHARED)
-    scaled = products.sums / spreads.row**2
-    of_rides, of_days, of_cars = spreads.variances
-    rides = integrate_out(scaled, shared, of_rides)
-    days = integrate_out(sum_units(rides.sums, products.day), shared, of_days)
-    last = scaled.shape[1] - 1
-    cars = integrate_out(sum_units(days.sums, products.car), slice(last, last + 1), of_cars)
-    total = cars.sums.sum(axis=0)
+class LevelSums(NamedTuple):
+    """Hold what the evidence needs of the sums of products of rides.
+
+    The effects of all levels act on the columns of `SHARED` and on the predicted energy. Only the sums of these columns
+    are kept for each ride, so that an evaluation takes a fraction of the time that it takes with all columns.
+
+    Parameters
+    ----------
+    own : (rides, s, s) float
+        Sums of the columns of the effects.
+    beside : (rides, s, p + 1) float
+        Sums of these columns with those of the coefficients and the energy.
+    total : (p + 1, p + 1) float
+        Sums of the columns of the coefficients and the energy over all rides.
+    rows : int
+        Number of rows of all rides.
+    day, car : (rides,), (days,) int64
+        As in `RideProducts`.
+    """
+
+    own: Floats
+    beside: Floats
+    total: Floats
+    rows: int
+    day: Ints
+    car: Ints
+
+    @staticmethod
+    def of(products: RideProducts) -> "LevelSums":
+        """Return what the evidence needs of the sums of products of rides."""
+        sums, first = products.sums, products.coefficients + 1
+        return LevelSums(
+            np.ascontiguousarray(sums[:, first:, first:]),
+            np.ascontiguousarray(sums[:, first:, :first]),
+            sums[:, :first, :first].sum(axis=0),
+            int(products.rows.sum()),
+            products.day,
+            products.car,
+        )
+
+
+def differentiate_level_evidence(sums: LevelSums, prior: Gaussian, spreads: LevelSpreads) -> tuple[float, LevelSpreads]:
+    """Return the logarithm of the evidence, and its derivatives by the logarithms of the standard deviations.
+
+    Notes
+    -----
+    The sums are divided by the variance of a row. That multiplies all variances of effects and the sums that are left,
+    so the derivative by it follows from those by both.
+    """
+    scale = 1.0 / spreads.row**2
+    of_rides, of_days, of_car = spreads.variances
+    none_of_cars = np.zeros(len(of_car))
+    rides = SweepStep.of(scale * sums.own, scale * sums.beside, np.append(of_rides, none_of_cars))
+    days = _step_up(rides, sums.day, np.append(of_days, none_of_cars))
+    cars = _step_up(days, sums.car, np.append(np.zeros(SHARED), of_car))
+    total = scale * sums.total - sum(_sum_squares(step) for step in (rides, days, cars))
     posterior, evidence = _solve(prior, total)
-    rows = float(products.rows.sum())
-    determinants = sum(float(each.log_determinant.sum()) for each in (rides, days, cars))
-    evidence -= 0.5 * (2.0 * np.log(spreads.row) * rows + determinants)
+    determinants = sum(step.log_determinant for step in (rides, days, cars))
+    evidence -= 0.5 * (2.0 * np.log(spreads.row) * sums.rows + determinants)
     outer = np.append(posterior.mean, -1.0)
-    by_total = np.zeros_like(total)
-    by_total[: p + 1, : p + 1] = -0.5 * np.outer(outer, outer)
-    by_total[:p, :p] -= 0.5 * posterior.covariance
-    by_days, by_car = cars.pass_back(np.broadcast_to(by_total, cars.sums.shape))
-    by_rides, by_day = days.pass_back(by_days[products.car])
-    by_rows, by_ride = rides.pass_back(by_rides[products.day])
-    by_row = -2.0 * float(np.sum(by_rows * scaled)) - rows
-    by_variance = np.concatenate([by_ride, by_day, by_car])
-    return evidence, LevelSpreads(by_row, *(2.0 * np.square(spreads[1:]) * by_variance).tolist())
+    by_total = np.outer(outer, outer)  # of minus twice the logarithm, as in `SweepStep.pass_back`
+    by_total[:-1, :-1] += posterior.covariance
+    by_cars, by_own, by_beside = cars.pass_back(cars.beside @ by_total, None, None)
+    by_days, by_own, by_beside = days.pass_back(days.beside @ by_total, by_own[sums.car], by_beside[sums.car])
+    by_rides, _, _ = rides.pass_back(rides.beside @ by_total, by_own[sums.day], by_beside[sums.day])
+    by_variance = -0.5 * np.concatenate([by_rides[:SHARED], by_days[:SHARED], by_cars[SHARED:]])
+    by_effects = 2.0 * np.square(spreads[1:]) * by_variance
+    by_row = float(np.sum(by_total * total)) - float(by_effects.sum()) - sums.rows
+    return evidence, LevelSpreads(by_row, *by_effects.tolist())
+
+
+def _step_up(step: SweepStep, parent: Ints, variance: Floats) -> SweepStep:
+    """Return the integration over the effects of the level above."""
+    return SweepStep.of(sum_units(step.own_left, parent), sum_units(step.beside_left, parent), variance)
+
+
+def _sum_squares(step: SweepStep) -> Floats:
+    """Return what the effects of a level take away from the sums of the coefficients and the energy."""
+    wide = step.beside.shape[2]
+    return np.asarray(step.beside.reshape(-1, wide).T @ step.gain.reshape(-1, wide))
 
 
 def estimate_spreads(
@@ -111,7 +163,7 @@ def estimate_spreads(
     exact: bool = True,
 ) -> LevelSpreads:
     """Return the standard deviations of the levels that have the largest evidence, near the expected ones."""
-    some = products.thinned(MOST_RIDES)
+    some = LevelSums.of(products.thinned(MOST_RIDES))
     free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1
     expected, sd = np.log(EXPECTED_LEVELS[:free]), np.array(LEVELS_LOG_SD[:free])
 

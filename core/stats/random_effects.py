@@ -17,7 +17,7 @@ Trials 7 (1986) 177, DOI 10.1016/0197-2456(86)90046-2: the variance between unit
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 
 from socast.core.batch import Floats, Ints
 
@@ -98,7 +98,8 @@ def sum_products(columns: Floats, weight: Floats, unit: Ints) -> Floats:
 def sum_units(sums: Floats, parent: Ints) -> Floats:
     """Return the sums of the units of the level above, whose codes have no gap."""
     # a product with a sparse matrix takes a tenth of the time of `np.add.reduceat` along the first axis
-    adding = csr_array((np.ones(len(parent)), (parent, np.arange(len(parent)))))
+    shape = int(parent.max()) + 1, len(parent)
+    adding = csc_array((np.ones(len(parent)), parent, np.arange(len(parent) + 1)), shape=shape)
     return np.asarray(adding @ sums.reshape(len(parent), -1)).reshape(-1, *sums.shape[1:])
 
 

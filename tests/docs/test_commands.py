@@ -11,12 +11,15 @@ import pytest
 from socast.core import models
 from socast.core.diagnose.add.records import list_attempts
 from socast.tools.simulator.trace import REFERENCE_DENSITY
-from tests.support import picture_figure
+from tests.support import own_car_figure, picture_figure
 from tests.support.commands import refused
 from tests.support.documented_commands import Shell, documented_commands, first_difference, prepare_folder
 from tests.support.error_figure import FIGURE, error_figure
+from tests.support.own_car_file import HIDDEN, SINCE, STANDBY
+from tests.support.own_car_file import TRUTH as OWN_TRUTH
 from tests.support.pages import PAGES, TUTORIAL, blocks, name_of, read
 from tests.support.paths import ROOT
+from tests.support.remembered_results import diagnosing_once
 
 pytestmark = pytest.mark.long
 COMMANDS = {
@@ -34,7 +37,8 @@ AIR_DENSITY = 1.28
 @pytest.fixture(scope="module")
 def shell(tmp_path_factory):
     """Return a shell that runs the commands of all pages in one folder, each command once."""
-    return Shell(prepare_folder(tmp_path_factory.mktemp("pages")))
+    with diagnosing_once():
+        yield Shell(prepare_folder(tmp_path_factory.mktemp("pages")))
 
 
 @pytest.fixture(scope="module")
@@ -167,3 +171,20 @@ def test_answer_agrees_with_the_truth_file():
     simulation = TRUTH["simulation"]
     for words in (f"--seed {simulation['seed']}", f"--vehicles {simulation['vehicles']}", f"--hidden {name}:0.06"):
         assert words in answers[1]
+
+
+def test_change_of_the_own_car_is_dated_and_sized_as_it_was_hidden_and_drawn(shell):
+    for each in COMMANDS[name_of(own_car_figure.PAGE)]:
+        shell.run(each.command)
+    found = own_car_figure.find_change(shell.folder)
+    early, late = found.since_ci90
+    assert early <= SINCE <= late
+    assert found.causes[0].effect == HIDDEN
+    step = models.load(str(shell.folder / "commuter-standby.json")).history[-1]
+    low, high = step["coefficient"]["ci95"]
+    assert low < STANDBY * json.loads(OWN_TRUTH.read_text(encoding="utf-8"))["factor"] < high
+    shown, now = (
+        [float(y) for y in re.findall(r" cy='([\d.]+)'", text)]
+        for text in (own_car_figure.FIGURE.read_text(encoding="utf-8"), own_car_figure.own_car_figure(found))
+    )
+    assert shown == pytest.approx(now, abs=5.0), "renew with: python -m tests.support.own_car_figure"

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from functools import cache
 
 import pytest
 import typer
@@ -14,20 +15,25 @@ from tests.support.pages import GUIDES, PAGES, blocks, name_of, read, shown_call
 from tests.support.paths import ROOT
 
 CALLS = list(shown_calls())
-COMMAND_HELP = {name: typer.main.get_command(application(name)).commands[name] for name in COMMANDS}
+
+
+@cache
+def command_help():
+    """Return every command by its name."""
+    return {name: typer.main.get_command(application(name)).commands[name] for name in COMMANDS}
 
 
 @pytest.mark.parametrize("call", CALLS, ids=[f"{name_of(call.page)}: {' '.join(call.arguments)}" for call in CALLS])
 def test_call_that_no_test_runs_has_a_command_options_and_values_that_exist(call):
     name, *arguments = call.arguments
-    command = COMMAND_HELP[name]
+    command = command_help()[name]
     if inner := getattr(command, "commands", None):
         command, arguments = inner[arguments[0]], arguments[1:]
     assert command.make_context(name, arguments).command is command
 
 
 def test_examples_in_help_texts_are_valid_calls():
-    for name, top in COMMAND_HELP.items():
+    for name, top in command_help().items():
         for command in [top, *getattr(top, "commands", {}).values()]:
             for call in re.findall(r"\bsocast (.+)", command.help.replace("\\\n", "").partition("Example")[2]):
                 without_files = re.sub(r"\s*(\||2?>).*| --(effects|vehicles) \S+", "", call)  # parsing reads them
@@ -47,7 +53,7 @@ def test_every_command_is_in_a_guide_with_a_call():
     guides = "\n".join(read(page) for page in GUIDES)
     calls = [each.command for page in GUIDES for each in documented_commands(read(page))]
     calls += [f"socast {' '.join(call.arguments)}" for call in CALLS]
-    for name, command in COMMAND_HELP.items():
+    for name, command in command_help().items():
         assert f"`socast {name}`" in read(ROOT / "docs" / "guide" / "index.md"), f"{name} is not in the list of guides"
         for path in [f"{name} {inner}" for inner in getattr(command, "commands", [])] or [name]:
             assert f"`socast {path}" in guides, f"no guide names socast {path}"
@@ -55,7 +61,7 @@ def test_every_command_is_in_a_guide_with_a_call():
 
 
 def test_every_command_argument_and_option_has_a_help_text():
-    for name, top in COMMAND_HELP.items():
+    for name, top in command_help().items():
         for command in [top, *getattr(top, "commands", {}).values()]:
             assert command.help, name
             for parameter in command.params:

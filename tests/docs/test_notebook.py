@@ -2,8 +2,12 @@
 
 import re
 
+import pytest
+
 from tests.support.pages import read
 from tests.support.paths import ROOT
+
+pytestmark = pytest.mark.long
 
 PAGE = ROOT / "docs" / "guide" / "notebook.md"
 

@@ -3,19 +3,14 @@
 import json
 import re
 
-import pytest
-
-from socast.core import models
-from tests.support.documented_commands import Shell, documented_commands, prepare_folder
-from tests.support.own_car_figure import FIGURE, PAGE, find_change, own_car_figure
-from tests.support.own_car_file import FILE, HIDDEN, OPTIONS, SINCE, TRUTH
+from tests.support.documented_commands import documented_commands
+from tests.support.own_car_figure import PAGE
+from tests.support.own_car_file import FILE, HIDDEN, OPTIONS, SINCE, STANDBY, TRUTH
 from tests.support.pages import read
 from tests.support.paths import ROOT
 
 TEXT = read(PAGE)
 TRUE = json.loads(TRUTH.read_text(encoding="utf-8"))
-STANDBY = 100.0
-"""Power of the hidden effect at natural size. [W]"""
 
 
 def test_five_commands_lead_from_the_file_to_the_diagnosis():
@@ -38,22 +33,3 @@ def test_effect_is_not_named_before_the_diagnosis_and_the_answer_is_that_of_the_
     assert f"a hidden `{HIDDEN}` of {STANDBY * TRUE['factor']:.0f} W" in TEXT
     about = " ".join(read(ROOT / "recordings" / "README.md").split())
     assert OPTIONS in about
-
-
-@pytest.mark.long
-def test_change_is_dated_and_sized_as_it_was_hidden_and_drawn(tmp_path):
-    shell = Shell(prepare_folder(tmp_path))
-    for each in documented_commands(TEXT):
-        shell.run(each.command)
-    found = find_change(tmp_path)
-    early, late = found.since_ci90
-    assert early <= SINCE <= late
-    assert found.causes[0].effect == HIDDEN
-    step = models.load(str(tmp_path / "commuter-standby.json")).history[-1]
-    low, high = step["coefficient"]["ci95"]
-    assert low < STANDBY * TRUE["factor"] < high
-    drawn = own_car_figure(found)
-    shown, now = (
-        [float(y) for y in re.findall(r" cy='([\d.]+)'", text)] for text in (FIGURE.read_text(encoding="utf-8"), drawn)
-    )
-    assert shown == pytest.approx(now, abs=5.0), "renew with: python -m tests.support.own_car_figure"

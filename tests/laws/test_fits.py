@@ -10,6 +10,8 @@ from socast.core.models import ANY, LinearModel, make_physical_term
 from tests.support import pooled_rides
 from tests.support.planted_rides import MODELS, noisy, physical_energy
 
+pytestmark = pytest.mark.long
+
 SEEDS = range(4)
 MOST = 10.0
 """Largest prediction over the largest measured energy. [1]"""

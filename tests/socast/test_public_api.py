@@ -12,6 +12,8 @@ import socast
 from tests.support.html_pages import assert_axes_are_titled
 from tests.support.paths import SHIFT
 
+pytestmark = pytest.mark.long
+
 EXPORTS = [
     "AdditionTrial",
     "AskError",

@@ -170,7 +170,7 @@ def test_a_consumer_whose_election_fails_gives_up_its_token_and_says_why(monkeyp
         monkeypatch.setattr(standby.election, "look", fail)
         assert eventually(lambda: standby.failure)
         assert "broken" in standby.failure
-        assert not standby.is_active
+        assert eventually(lambda: not standby.is_active)
         assert watched.handler.recv().kind == SampleKind.PUT
         assert watched.handler.recv().kind == SampleKind.DELETE
 

@@ -22,6 +22,8 @@ FILE: Final = ROOT / "recordings" / "commuter.csv"
 TRUTH: Final = FILE.with_suffix(".truth.json")
 SINCE: Final = "2019-06-19"
 HIDDEN: Final = "standby"
+STANDBY: Final = 100.0
+"""Power of the hidden effect at natural size. [W]"""
 SHARE: Final = 0.1
 """Share of the energy that the effect has when it is on. [1]"""
 OPTIONS: Final = (

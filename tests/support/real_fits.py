@@ -110,13 +110,14 @@ def draw_splits(dates: np.ndarray, count: int | None) -> Iterator[tuple[np.ndarr
             yield np.sort(rng.permutation(np.flatnonzero(~test))[:count]), test
 
 
-def evaluate_fits(tables: Tables, count: int | None, recipe: str = RECIPE) -> Result:
+@cache
+def evaluate_fits(car: str, count: int | None, recipe: str) -> Result:
     """Return the error of rides of other dates, and the coefficients outside of their plausible ranges.
 
     Parameters
     ----------
-    tables : Tables
-        Tables of a car.
+    car : str
+        Name of the importer, a key of `CARS`.
     count : int, optional
         Number of rides to fit to; all of other dates without it.
     recipe : str
@@ -127,6 +128,7 @@ def evaluate_fits(tables: Tables, count: int | None, recipe: str = RECIPE) -> Re
     Result
         Mean over all draws.
     """
+    tables = load_tables(car)
     errors: list[float] = []
     outside: dict[str, int] = {}
     for train, test in draw_splits(tables.rides["date"].to_numpy(dtype=str), count):
@@ -210,7 +212,7 @@ def main() -> None:
     warnings.filterwarnings("ignore")
     print(f"{'car':18} {'rides':>5} {'MAE, kWh':>9} {'before':>7}  outside of their ranges")
     for car, count in list_cases():
-        tables, found = load_tables(car), evaluate_fits(load_tables(car), count)
+        tables, found = load_tables(car), evaluate_fits(car, count, RECIPE)
         before: Any = "" if options.before is None else f"{measure_other(options.before, tables, count):.4f}"
         names = ", ".join(f"{name} in {n} fits" for name, n in found.outside.items()) or "none"
         print(f"{CARS[car]:18} {count or 'all':>5} {found.error:9.4f} {before:>7}  {names}")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.core.fit.level_spreads import differentiate_level_evidence, estimate_spreads
+from socast.core.fit.level_spreads import LevelSums, differentiate_level_evidence, estimate_spreads
 from socast.core.fit.nested_effects import LevelSpreads, RideProducts
 from tests.support.nested_rows import PRIOR, SPREADS, Rows
 
@@ -15,17 +15,18 @@ def test_evidence_differs_between_spreads_as_the_gaussian_density_does():
         left = Rows().energy - rows.design @ PRIOR.mean
         return -0.5 * float(left @ np.linalg.solve(whole, left) + np.linalg.slogdet(whole)[1])
 
+    sums = LevelSums.of(Rows().products())
     other = LevelSpreads(1.3, 0.1, 0.4, 0.05, 0.3, 0.02)
-    here, there = (differentiate_level_evidence(Rows().products(), PRIOR, spreads)[0] for spreads in (SPREADS, other))
+    here, there = (differentiate_level_evidence(sums, PRIOR, spreads)[0] for spreads in (SPREADS, other))
     assert here - there == pytest.approx(density(SPREADS) - density(other), rel=1e-8)
 
 
 def test_derivatives_are_those_of_the_evidence():
-    products = Rows().products()
-    _, derivatives = differentiate_level_evidence(products, PRIOR, SPREADS)
+    sums = LevelSums.of(Rows().products())
+    _, derivatives = differentiate_level_evidence(sums, PRIOR, SPREADS)
     for name, derivative in derivatives._asdict().items():
         changed = (SPREADS._replace(**{name: getattr(SPREADS, name) * np.exp(step)}) for step in (1e-5, -1e-5))
-        up, down = (differentiate_level_evidence(products, PRIOR, spreads)[0] for spreads in changed)
+        up, down = (differentiate_level_evidence(sums, PRIOR, spreads)[0] for spreads in changed)
         assert derivative == pytest.approx((up - down) / 2e-5, rel=1e-6, abs=1e-6), name
 
 

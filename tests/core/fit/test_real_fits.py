@@ -23,14 +23,14 @@ BARS = {("ved", 30): 0.1195, ("ved", 60): 0.1025, ("ved", None): 0.0989, ("bmw-i
 
 @pytest.mark.parametrize(("car", "count"), BARS)
 def test_error_on_other_dates_is_no_larger_than_before_and_coefficients_are_plausible(car, count):
-    found = evaluate_fits(load_tables(car), count)
+    found = evaluate_fits(car, count, RECIPE)
     assert found.error <= BARS[car, count]
     assert found.outside == {}
 
 
 @pytest.mark.parametrize(("car", "count"), BARS)
 def test_cold_tyres_and_motor_losses_lower_the_error_on_other_dates(car, count):
-    plain, full = (evaluate_fits(load_tables(car), count, recipe) for recipe in (RECIPE, FULL))
+    plain, full = (evaluate_fits(car, count, recipe) for recipe in (RECIPE, FULL))
     assert full.error < plain.error
     assert full.outside == {}
 

@@ -1,5 +1,7 @@
 """Test the energy ahead of a car, and the charge and range that follow from it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -31,14 +33,24 @@ from tests.support.fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START
 
 BEGIN = START + DAY * DAYS
 PLAN = Plan("c", BEGIN, BEGIN + SHIFT, RESERVE, [Leg(0.6 * v, 600.0) for v in speeds("c", DAYS).tolist()])
-STATISTICS = trained_pipeline().engine.statistics
-PLANNED = compute_planned_legs(PLAN, STATISTICS.get_tables(2))
 CELSIUS = 8.0
+
+
+@cache
+def statistics():
+    """Return what a fleet has learned in some days."""
+    return trained_pipeline().engine.statistics
+
+
+@cache
+def planned():
+    """Return the planned legs of the car."""
+    return compute_planned_legs(PLAN, statistics().get_tables(2))
 
 
 def usual(n=1, celsius=CELSIUS):
     weights = compute_temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
-    learned = STATISTICS.compute_usual(np.ones(n, np.int64), weights)
+    learned = statistics().compute_usual(np.ones(n, np.int64), weights)
     return learned._replace(factor=np.ones_like(learned.factor), covariance=np.zeros_like(learned.covariance))
 
 
@@ -56,12 +68,12 @@ def planned_energy(progress, time, ride_km=0.0, riding=False):
 
 def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
     """Return the energy ahead of one car by plan."""
-    return planned_energy(PLANNED.drop_done(done, 0).compute_progress(driven_km), time, ride_km, riding)
+    return planned_energy(planned().drop_done(done, 0).compute_progress(driven_km), time, ride_km, riding)
 
 
 def remaining(done, driven):
     """Return the legs that are left, the first shortened by a distance [km]; None where it has not begun."""
-    left = PLANNED.drop_done(done, 0)
+    left = planned().drop_done(done, 0)
     return left if driven is None else left.shorten(driven)
 
 
@@ -72,7 +84,7 @@ def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, cova
 
 def test_energy_of_a_plan_is_that_of_its_legs_and_waits():
     whole = ahead()
-    legs = float((PLANNED.energy @ usual().weights[0]).sum())
+    legs = float((planned().energy @ usual().weights[0]).sum())
     rest = SHIFT / 3600.0 - LEGS * 600.0 / 3600.0
     waiting = rest * usual().standing_power[0] + LEGS * usual().approach_energy[0]
     assert whole.energy[0] == pytest.approx(legs + waiting)
@@ -127,27 +139,27 @@ def test_remaining_legs_as_a_plan_have_the_same_energy_ahead(done, before, since
 def test_share_of_a_begun_leg_takes_that_share_of_its_energy(share, km, pace, gained, lost):
     parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
     whole, some = (
-        STATISTICS.get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1), begun=True)
+        statistics().get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1), begun=True)
         for part in parts
     )
     assert some == pytest.approx(share * whole)
 
 
 def test_begun_ride_has_no_start_energy():
-    tables, leg = STATISTICS.get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
+    tables, leg = statistics().get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
     assert tables.compute_leg_energy(*leg) - tables.compute_leg_energy(*leg, begun=True) == pytest.approx(0.3)
 
 
 @given(st.floats(0.0, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))
 def test_leg_returns_no_more_than_its_descent(km, pace, gained, lost):
-    tables = STATISTICS.get_tables(2)
+    tables = statistics().get_tables(2)
     taken = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
     assert tables.descent_energy < 0.0
     assert (taken >= tables.descent_energy * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
 
 
 def test_part_of_the_surplus_of_a_descent_returns():
-    tables, lost = STATISTICS.get_tables(2), np.array([600.0, 700.0])
+    tables, lost = statistics().get_tables(2), np.array([600.0, 700.0])
     one, more = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
     assert (one < 0.0).all()
     assert more - one == pytest.approx(RECOVERED_SHARE * 100.0 * tables.descent_energy)
@@ -259,7 +271,7 @@ def test_ride_of_the_length_of_the_range_ends_at_the_reserve(soc, scale):
 def test_unknown_climb_is_the_usual_and_climbing_takes_more():
     legs = [Leg(6.0, 600.0), Leg(6.0, 600.0, 100.0, 0.0), Leg(6.0, 600.0, None, 100.0), Leg(6.0, 600.0, 0.0, 0.0)]
     plain, up, down, level = (
-        compute_planned_legs(Plan("c", 0.0, 0.0, 0.0, legs), STATISTICS.get_tables(2)).energy @ usual().weights[0]
+        compute_planned_legs(Plan("c", 0.0, 0.0, 0.0, legs), statistics().get_tables(2)).energy @ usual().weights[0]
     )
     assert up > plain > down
     assert plain == pytest.approx(level)  # the training rides were level

@@ -415,20 +415,22 @@ def list_paths(value, path=()):
         yield from list_paths(value[0], (*path, 0))
 
 
-def forget(path):
-    """Return a diagnosis without the value at a path; None where the value is always known."""
-    values = make_result().to_json()
+def forget(values, path):
+    """Return the diagnosis of JSON values without the value at a path; None where the value is always known."""
     part = values
     for key in path[:-1]:
         part = part[key]
-    part[path[-1]] = None
+    known, part[path[-1]] = part[path[-1]], None
     try:
         return msgspec.convert(values, Diagnosis)
     except msgspec.ValidationError:
         return None
+    finally:
+        part[path[-1]] = known
 
 
-UNKNOWN_VALUES = {path: made for path in list_paths(make_result().to_json()) if (made := forget(path)) is not None}
+KNOWN_VALUES = make_result().to_json()
+UNKNOWN_VALUES = {path: made for path in list_paths(KNOWN_VALUES) if (made := forget(KNOWN_VALUES, path)) is not None}
 
 
 PRINTERS = ("print_heading", "print_lines", "print_section")

@@ -7,6 +7,8 @@ import pytest
 from tests.support.commands import called, refused
 from tests.support.paths import RECORDINGS
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def score(tmp_path_factory):

@@ -14,6 +14,8 @@ from socast.tools.workbench.workspace import Given, Workspace
 from tests.support.commands import called
 from tests.support.paths import RECORDINGS
 
+pytestmark = pytest.mark.long
+
 SHIFT = RECORDINGS / "shift.mcap"
 CLEANING = ("--speed-limit-kmh", "80", "--least-distance-km", "1.5")
 COMMANDS = frozenset({"command", "commands"})

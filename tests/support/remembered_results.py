@@ -1,0 +1,68 @@
+"""Results of a long computation, kept so that the same call, on another page, does not compute them again."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from inspect import signature
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from socast.core import effects
+from socast.core.diagnose.add import add
+from socast.core.diagnose.add.holdout import select_final_days
+from socast.core.fit.ride_blocks import get_names
+from socast.core.models import LinearModel, encode_model
+from tests.support import own_car_figure, picture_figure
+
+
+@contextmanager
+def diagnosing_once() -> Iterator[None]:
+    """Diagnose the same tables and model once, and try to add an effect to them once, in this process.
+
+    A diagnosis is reproducible: `tests/core/diagnose` tests it.
+    """
+    from socast.core.diagnose import diagnosis  # noqa: PLC0415 - boosted trees take a second to import
+
+    diagnose, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (diagnosis, picture_figure, own_car_figure):
+            patch.setattr(module, "diagnose", diagnose)
+        patch.setattr(add, "add_effect", add_effect)
+        yield
+
+
+def _remember(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that computes each result once; what it reports meanwhile is no part of it."""
+    known: dict[str, Any] = {}
+    of_function = signature(function)
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        given = of_function.bind(*args, **kwargs)
+        given.apply_defaults()
+        values = dict(given.arguments)
+        del values["report"]
+        if "leave_out" in values:
+            dates = get_names(values["rides"], "date")
+            left_out = values["leave_out"]
+            final = select_final_days(values["model"].history, dates) if left_out is None else left_out
+            values["leave_out"] = sorted(final)
+        key = hashlib.sha256()
+        for part in (*values.values(), *effects.list_tabulated()):
+            key.update(_encode(part))
+        place = key.hexdigest()
+        if place not in known:
+            known[place] = function(*args, **kwargs)
+        return known[place]
+
+    return call
+
+
+def _encode(value: Any) -> bytes:
+    """Return bytes that differ where values do."""
+    if isinstance(value, pd.DataFrame):
+        return repr(list(value)).encode() + pd.util.hash_pandas_object(value).to_numpy().tobytes()
+    if isinstance(value, LinearModel):
+        return encode_model(value)
+    return repr(tuple(value) if isinstance(value, list) else value).encode()
