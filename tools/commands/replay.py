@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from datetime import tzinfo
 from math import inf
@@ -25,11 +25,12 @@ from socast.core.settings import Settings
 from socast.core.wire.messages import ModelErrors
 from socast.stream.loop import stop_on_signals
 from socast.stream.mcap_reader import McapSource
-from socast.stream.mcap_writer import McapSink
-from socast.stream.source import Source, merge_sources, pace_source, stop_source
+from socast.stream.mcap_writer import replace_recording
+from socast.stream.source import Sink, Source, merge_sources, pace_source, stop_source
 from socast.stream.zenoh_session import Connection, Node, parse_prefix
 from socast.stream.zenoh_sink import ZenohSink
 from socast.tools.foxglove.recording import FoxgloveRecording
+from socast.tools.foxglove.schemas import SCHEMAS
 from socast.tools.terminal.elevation_option import warn_outside
 from socast.tools.terminal.forecast_options import (
     ForecastOptions,
@@ -274,15 +275,19 @@ def _forecast(
     models = load_models(options.models)
     pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
     outcomes = ShiftOutcomes(pipeline)
-    metadata = describe_forecasts("replay", options, models)
-    viewed = FoxgloveRecording(out, metadata) if out and layout else None
-    if viewed and layout:
-        run_forecasts(pipeline, sources, viewed.record_source(source), rate, [viewed], outcomes, zone)
+    sinks: list[Sink] = []
+    viewed: FoxgloveRecording | None = None
+    with ExitStack() as writing:
+        if out:
+            metadata, schemas = describe_forecasts("replay", options, models), SCHEMAS if layout else {}
+            sink = writing.enter_context(replace_recording(out, metadata=metadata, viewer_schemas=schemas))
+            if layout:
+                viewed = FoxgloveRecording(sink)
+                source = viewed.record_source(source)
+            sinks.append(viewed or sink)
+        run_forecasts(pipeline, sources, source, rate, sinks, outcomes, zone)
+    if layout and viewed:
         viewed.write_layout(layout)
-    else:
-        run_forecasts(
-            pipeline, sources, source, rate, [McapSink(out, metadata=metadata)] if out else [], outcomes, zone
-        )
     quality = pipeline.quality()
     refuse_unusable(sources, sum(quality["received"].values()))
     rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
