@@ -1,5 +1,6 @@
 """The web application: static files, JSON routes and the socket of the fleet."""
 
+import asyncio
 import logging
 import mimetypes
 from pathlib import Path
@@ -14,6 +15,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from socast.core.errors import SocastError
 from socast.tools.workbench.access import READY, refuse
+from socast.tools.workbench.connections import REQUEST_S
 from socast.tools.workbench.fleet.feed import FleetFeed
 from socast.tools.workbench.fleet.frames import describe_frames
 from socast.tools.workbench.fleet.routes import ROUTES as FLEET_ROUTES
@@ -140,7 +142,11 @@ async def _read_object(request: Request, workbench: Workbench) -> dict[str, Any]
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise _RefusedError(415, "the header Content-Type must be application/json")
     try:
-        return msgspec.json.decode(await _read_body(request), type=dict[str, Any])
+        async with asyncio.timeout(REQUEST_S):
+            body = await _read_body(request)
+        return msgspec.json.decode(body, type=dict[str, Any])
+    except TimeoutError as error:
+        raise _RefusedError(408, f"the request is not whole after {REQUEST_S:g} s: send it again") from error
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise _RefusedError(400, f"the request holds no JSON object: {error}") from error
 
