@@ -1,7 +1,7 @@
 """The Zenoh subscribers: samples of a fleet and its weather, with what the caches of publishers hold in its place.
 
 One advanced subscriber receives the fleet and one the weather. They request missed samples from advanced publishers and
-count those that they could not get. At the start, and when publishers appear, the receiver asks their caches
+count those that they could not get. At the start, and when sessions appear, the receiver asks their caches
 (`socast.stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
 
 Notes
