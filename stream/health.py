@@ -2,11 +2,12 @@
 
 import logging
 import socket
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from ipaddress import ip_address
 from socketserver import TCPServer, ThreadingMixIn
-from threading import BoundedSemaphore, Thread
+from threading import BoundedSemaphore, Thread, Timer
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from socast.core.errors import SettingsError
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 LOOPBACK_HOST: Final = "127.0.0.1"
 """Host at which the server listens if the address is a port alone."""
 CLIENT_S: Final = 5.0
-"""Longest time that a client may take to send its request or to read. [s]"""
+"""Longest time that a request may take, from the connection to the end of the answer. [s]"""
 MOST_CLIENTS: Final = 16
-"""Largest number of requests that are answered at the same time; further connections are closed."""
+"""Largest number of requests at the same time; the oldest of more is closed."""
 POLL_S: Final = 0.1
 """Time within which the server notices that it is closed. [s]"""
 _PLAIN: Final = "text/plain; charset=utf-8"
@@ -111,25 +112,41 @@ class _Server(ThreadingMixIn, TCPServer):
         self.address_family = family
         self.status, self.registry = status, registry
         self._free = BoundedSemaphore(MOST_CLIENTS)
+        self._requests: dict[Any, None] = {}  # the oldest first
         super().__init__(place, _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a request in a thread, or close its connection where too many are open."""
+        """Answer a request in a thread, in the place of the oldest where too many are open."""
         if not self._free.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
+            for oldest in list(self._requests)[:1]:
+                _end(oldest)
+            if not self._free.acquire(timeout=POLL_S):
+                self.shutdown_request(request)
+                return
+        self._requests[request] = None
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer a request, and free its place."""
+        """Answer a request, and free its place; what comes too slowly is cut off."""
+        deadline = Timer(CLIENT_S, _end, [request])
+        deadline.daemon = True
+        deadline.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
+            deadline.cancel()
+            self._requests.pop(request, None)
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002 - as in the base class
         """Log a request that failed in one line; a client that has gone is no failure of the service."""
         _log.debug("request of %s failed", client_address, exc_info=True)
+
+
+def _end(request: socket.socket) -> None:
+    """End a connection, also for a thread that reads from it."""
+    with suppress(OSError):  # it has ended
+        request.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -17,8 +17,8 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -41,6 +41,7 @@ from mcap.records import (
 )
 
 from socast.core.errors import RecordingError
+from socast.core.files import replacing
 from socast.core.wire.messages import BATCH, KINDS, Message, address
 from socast.core.wire.schema import make_schema
 from socast.stream.closeable import Closeable
@@ -81,7 +82,7 @@ class McapSink(Closeable):
     Parameters
     ----------
     path : str or Path
-        File to write; an existing file is overwritten.
+        File to write; an existing file is overwritten. `replace_recording` keeps it until the new one is complete.
     chunk_bytes : int
         Size at which a chunk is written. [B] A killed process loses at most this many bytes, and only messages that
         came after the last `flush`.
@@ -90,6 +91,8 @@ class McapSink(Closeable):
     viewer_schemas : mapping of str to dict, optional
         Last chunk of a topic outside the wire contract -> JSON schema of its messages, with its name as `title`; for
         messages that are put for viewers.
+    file : Path, optional
+        File that is written instead of `path`, which errors name.
 
     Attributes
     ----------
@@ -106,6 +109,7 @@ class McapSink(Closeable):
         *,
         metadata: Mapping[str, str] | None = None,
         viewer_schemas: Mapping[str, Mapping[str, Any]] | None = None,
+        file: Path | None = None,
     ) -> None:
         self.path = Path(path)
         self.messages = self.kept = 0
@@ -120,10 +124,8 @@ class McapSink(Closeable):
         self._indexes: list[ChunkIndex] = []
         self._span: tuple[int, int] | None = None
         self._start_chunk()
-        try:
-            self._file: BinaryIO = self.path.open("wb")
-        except OSError as error:
-            raise RecordingError(f"{self.path} cannot be written: {error.strerror}; choose another place") from error
+        with _explain(self.path, "choose another place"):
+            self._file: BinaryIO = (file or self.path).open("wb")
         begin = MAGIC + _encode_record(Header(profile="", library="socast"))
         about = _encode_record(Metadata(METADATA_NAME, {"version": find_version()} | dict(metadata or {})))
         self._metadata_index = MetadataIndex(len(begin), len(about), METADATA_NAME)
@@ -185,12 +187,8 @@ class McapSink(Closeable):
     def sync(self) -> None:
         """Write the unfinished chunk, and return once the operating system has everything on disk."""
         self._end_chunk()
-        try:
+        with _explain(self.path):
             os.fdatasync(self._file.fileno())
-        except OSError as error:
-            raise RecordingError(
-                f"{self.path} cannot be written: {error.strerror}; make room or stop recording"
-            ) from error
 
     def close(self) -> None:
         """Write the summary and close the file."""
@@ -303,14 +301,40 @@ class McapSink(Closeable):
 
     def _write(self, data: bytes, *, flush: bool = False) -> None:
         """Write data to the file; raise `RecordingError` if the disk refuses them."""
-        try:
+        with _explain(self.path):
             self._file.write(data)
             if flush:
                 self._file.flush()
-        except OSError as error:
-            raise RecordingError(
-                f"{self.path} cannot be written: {error.strerror}; make room or stop recording"
-            ) from error
+
+
+@contextmanager
+def replace_recording(
+    path: str | Path,
+    *,
+    metadata: Mapping[str, str] | None = None,
+    viewer_schemas: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Iterator[McapSink]:
+    """Yield the writer of a recording that takes the place of a file once it is complete and nothing was raised.
+
+    The parameters are those of `McapSink`.
+    """
+    path = Path(path)
+    with ExitStack() as failing:
+        with _explain(path, "choose another place"):
+            fresh = failing.enter_context(replacing(path))
+        with McapSink(path, metadata=metadata, viewer_schemas=viewer_schemas, file=fresh) as sink:
+            yield sink
+        with _explain(path):
+            failing.pop_all().close()
+
+
+@contextmanager
+def _explain(path: Path, remedy: str = "make room or stop recording") -> Iterator[None]:
+    """Raise `RecordingError` where the disk refuses a recording."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written: {error.strerror}; {remedy}") from error
 
 
 def _encode_record(record: Any) -> bytes:

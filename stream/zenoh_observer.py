@@ -44,6 +44,7 @@ class ZenohObserver:
 
     def __init__(self, node: Node, sent: Sequence[str] = OF_CARS) -> None:
         self.dropped = 0
+        self._session = node.session
         self._waiting: deque[Message] = deque()
         self._waiting_bytes = 0
         self._lock = Lock()
@@ -55,6 +56,11 @@ class ZenohObserver:
                     node.session, f"{node.prefix}{each}", self._receive, history=ext.HistoryConfig(max_samples=1)
                 )
             )
+
+    @property
+    def has_router(self) -> bool:
+        """Return whether a router is connected."""
+        return bool(self._session.info.routers_zid())
 
     def take(self) -> list[Message]:
         """Return the messages that have arrived since the last call, in the order of their arrival."""

@@ -1,7 +1,7 @@
 """The Zenoh subscribers: samples of a fleet and its weather, with what the caches of publishers hold in its place.
 
 One advanced subscriber receives the fleet and one the weather. They request missed samples from advanced publishers and
-count those that they could not get. At the start, and when publishers appear, the receiver asks their caches
+count those that they could not get. At the start, and when sessions appear, the receiver asks their caches
 (`socast.stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
 
 Notes
@@ -19,7 +19,9 @@ The module allows for this observed behaviour of zenoh 1.10:
 import logging
 import time
 from contextlib import suppress
+from datetime import timedelta
 from itertools import chain, filterfalse, islice, repeat
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import zenoh
@@ -30,7 +32,7 @@ from socast.core.wire.messages import BATCH, Message
 from socast.stream.receipt_clock import ReceiptClock
 from socast.stream.source import RecoveredMessage
 from socast.stream.structured_log import event_fields
-from socast.stream.zenoh_history import CacheHistory, merge_samples
+from socast.stream.zenoh_history import HOLD_BYTES, CacheHistory, merge_samples
 from socast.stream.zenoh_session import Node
 
 CHANNEL: Final = 1 << 8
@@ -39,13 +41,14 @@ BLOCK: Final = 256
 """Largest number of samples that are taken at once."""
 BLOCK_BYTES: Final = 1 << 22
 """Size of samples that are taken at once, as far as the last samples predict it. [B]"""
-HOLD_BYTES: Final = 1 << 26
-"""Size of live samples and answers that may wait for further answers of caches; more end the wait. [B]"""
 WATCH_S: Final = 1.0
 """Time between two checks of the number of connected routers. [s]"""
 _MOST_KEYS, _MOST_CHARACTERS, _LONGEST_KEY = 100_000, 1 << 23, 512  # that are remembered as text
 _NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
 _NONE: Final = MessageBlock.of([])
+# A heartbeat tells the number of a sample that its publisher may still be waiting to send. What the subscriber then
+# requests is lost when it comes. Zenoh takes heartbeats or a period; zenoh-python 1.10 takes only a timedelta for it.
+_ON_GAPS: Final = ext.RecoveryConfig(periodic_queries=timedelta(days=1), heartbeat=None)  # type: ignore[arg-type]
 _log = logging.getLogger("socast.zenoh")
 
 
@@ -208,7 +211,8 @@ class ZenohReceiver:
     def drop_rest(self) -> int:
         """End, drop what has arrived and was not taken, and return the number of its messages."""
         self.end()
-        rest = merge_samples([*self._held, *self._answers])
+        waiting = self._history.release(inf, everything=True) if self._history is not None else ([], [])
+        rest = merge_samples([*self._held, *self._answers, *chain(*waiting)])
         self._held, self._answers = [], []
         while part := self._receive(CHANNEL):
             rest += part
@@ -216,8 +220,10 @@ class ZenohReceiver:
 
     def _order(self, samples: list[Any], *, stopping: bool) -> tuple[MessageBlock, bool]:
         """Return the messages of live samples, or of all that waited where caches have answered, and which of both."""
-        if self._history is not None and self._must_hold(samples, stopping=stopping):
-            return _NONE, False
+        if self._history is not None:
+            samples = self._recover(self._history, samples, stopping=stopping)
+            if self.is_catching_up:
+                return _NONE, False
         if self._answers:
             return MessageBlock.of(self._merge()), True
         samples, self._held = self._held or samples, []
@@ -232,27 +238,32 @@ class ZenohReceiver:
         payloads = [each.payload.to_bytes() for each in samples]
         return MessageBlock.pack(self._keys.texts, numbers, payloads, self._clock.read_ns()), False
 
-    def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
-        """Return whether the received samples must wait for the answers of caches.
+    def _recover(self, history: CacheHistory, samples: list[Any], *, stopping: bool) -> list[Any]:
+        """Take the answers of caches, hold the live samples that must wait for them, and return the others.
 
-        If they must wait, or if answers have come, all samples that have arrived are held and later merged with the
-        answers. These may be newer than the end of the channel.
+        If all must wait, or if answers of all have come, all samples that have arrived are held and later merged with
+        the answers. These may be newer than the end of the channel.
         """
-        assert self._history is not None
         now = time.monotonic()
-        answers = self._history.collect(now)
-        self._answers += answers
+        answers = history.collect(now)
+        live, of_sessions = history.release(now, everything=stopping)
         self._held_bytes += sum([len(answer.payload) for answer in answers])
-        self.is_catching_up = self._history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
-        if self.is_catching_up or self._answers or self._held:
-            while samples and self._held_bytes < HOLD_BYTES:
-                self._held += samples
-                self._held_bytes += sum([len(sample.payload) for sample in samples])
-                samples = self._receive(self._block)
+        self.is_catching_up = history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
+        of_all = self.is_catching_up or bool(answers or self._answers or self._held)
+        self._answers += answers + of_sessions
+        if not of_all:
+            samples = history.withhold(samples, self._keys.find_text)
+            self._held += [*live, *samples] if live or of_sessions else []
+            return samples
+        self._held += live
+        while samples and self._held_bytes < HOLD_BYTES:
             self._held += samples
+            self._held_bytes += sum([len(sample.payload) for sample in samples])
+            samples = self._receive(self._block)
+        self._held += samples
         if not self.is_catching_up:
             self._held_bytes = 0
-        return self.is_catching_up
+        return []
 
     def _merge(self) -> list[Message]:
         """Return the live samples that waited and the answers of caches, in the order of publication."""
@@ -321,5 +332,5 @@ def _subscribe(node: Node, keys: str) -> Any:
         keys,
         channel,
         allowed_origin=zenoh.Locality.REMOTE,
-        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        recovery=_ON_GAPS,
     )

@@ -115,6 +115,7 @@ class Node(Closeable):
                     f"cannot listen at {', '.join(self.endpoints)}: {format_zenoh_error(error)}; {_help_listen(error)}"
                 ) from error
             raise SettingsError(f"Zenoh cannot be joined: {_explain(config, connection, error)}") from error
+        self._is_abandoned = False
         _warn_if_open(config)
 
     def list_cars(self) -> list[str]:
@@ -132,9 +133,13 @@ class Node(Closeable):
         shard = self.connection.shard
         return [f"{self.prefix}fleet/*"] if shard is None or shard.by == "chunk" else self.list_cars()
 
+    def abandon(self) -> None:
+        """Leave the session open until the process ends: closing would wait for a link that takes nothing."""
+        self._is_abandoned = True
+
     def close(self) -> None:
         """Close the session."""
-        if not self.session.is_closed():
+        if not self._is_abandoned and not self.session.is_closed():
             self.session.close()  # type: ignore[no-untyped-call]
 
     def flush(self) -> None:

@@ -5,6 +5,7 @@ is called, because numba, pandas and Zenoh take seconds to import and `socast --
 """
 
 import atexit
+import errno
 import gc
 import inspect
 import os
@@ -108,6 +109,8 @@ COMPLETION: Final = "_SOCAST_COMPLETE"
 """Environment variable with which a shell asks for completions."""
 CLOSED_PIPE: Final = 141
 """Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
+FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""Reasons of the operating system for which nothing more can be written, also to scratch files."""
 
 _SETTINGS: Final = "socast.tools.terminal.settings_file"
 """Module of settings files; it is imported only by commands that take one."""
@@ -241,6 +244,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter's last flush stays silent
         raise SystemExit(CLOSED_PIPE) from None
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        print(_one_line(f"a disk is full: {error.strerror}; make room, and start again"), file=sys.stderr)
+        raise SystemExit(2) from None
     raise SystemExit(code)
 
 

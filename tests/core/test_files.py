@@ -13,7 +13,9 @@ from socast.core import models
 from socast.core.cleaning.elevation_map import ElevationPlaces
 from socast.core.errors import SocastError
 from socast.core.files import replacing, write_whole
+from socast.core.wire.messages import Message
 from socast.stream.elevation_files import write_places
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.state_file import StateFile
 from socast.tools.report.page import save
 from socast.tools.terminal.findings_file import write_findings
@@ -45,6 +47,11 @@ def write_table(path):
             table.append(pd.DataFrame({"ride": ["a"] * 1000, "x": np.random.default_rng(1).random(1000)}))
 
 
+def write_recording(path):
+    with replace_recording(path) as sink:
+        sink.put([Message("fleet/a/telemetry", b"{}", 1)])
+
+
 def write_map(path):
     zero, one = np.zeros(1, np.int64), np.ones(1)
     write_places(ElevationPlaces(1e-5, 1e-5, zero, zero, one, one, one), path)
@@ -58,6 +65,7 @@ WRITERS = {
     "state": write_state,
     "table": write_table,
     "map of elevation": write_map,
+    "recording": write_recording,
 }
 
 

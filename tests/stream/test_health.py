@@ -10,6 +10,7 @@ import pytest
 
 from socast.core.errors import SettingsError
 from socast.core.pipeline import Pipeline
+from socast.stream import health
 from socast.stream.health import LOOPBACK_HOST, MOST_CLIENTS, HealthServer, HttpAddress, parse_http_address
 from socast.stream.loop import Tally, run
 from socast.stream.metrics import READY, make_registry
@@ -202,3 +203,29 @@ def test_addresses_are_written_as_they_are_read():
     for text in ("127.0.0.1:9464", "[::1]:9464", "example.org:80"):
         assert str(parse_http_address(text)) == text
     assert str(parse_http_address(":9464")) == "127.0.0.1:9464"
+
+
+def test_half_requests_do_not_keep_others_out(server):
+    silent = [socket.create_connection(server.address) for _ in range(2 * MOST_CLIENTS)]
+    for each in silent:
+        each.sendall(b"GET /li")
+    assert all(ask_page(server.address, "/livez")[0] == 200 for _ in range(5))
+    for each in silent:
+        each.close()
+
+
+def test_request_that_comes_byte_by_byte_is_cut_off(server, monkeypatch):
+    monkeypatch.setattr(health, "CLIENT_S", 0.3)
+    with socket.create_connection(server.address) as slow:
+        slow.settimeout(0.05)
+
+        def is_cut_off() -> bool:
+            try:
+                slow.sendall(b"x")
+                return slow.recv(10) == b""
+            except TimeoutError:
+                return False
+            except OSError:
+                return True
+
+        assert eventually(is_cut_off, 4.0)

@@ -2,6 +2,7 @@
 
 import json
 import time
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,12 +14,14 @@ from socast.core.wire.messages import Message
 from socast.stream.zenoh_history import (
     ANSWER_S,
     DOUBT_S,
+    FIRST_S,
+    HOLD_BYTES_EACH,
     HOLD_S,
+    MOST_ASKED,
     RETURN_S,
     RETURNS,
     RETURNS_S,
     SETTLE_S,
-    SINGLY,
     CacheHistory,
     merge_samples,
 )
@@ -31,6 +34,8 @@ SPACES = ("weather/**", "fleet/**")
 AFTER = SETTLE_S + 0.01
 EVERYBODY = ["weather/**/@adv/pub/**", "fleet/**/@adv/pub/**"]
 CAR = "fleet/a/telemetry/@adv/pub/1/0/_"
+OF_CAR = "fleet/**/@adv/pub/1/**"
+KEY = "fleet/a/telemetry"
 
 
 class Payload(bytes):
@@ -40,9 +45,16 @@ class Payload(bytes):
         return bytes(self)
 
 
+@dataclass(frozen=True)
+class Source:
+    """The identity of a publisher."""
+
+    zid: str
+
+
 def sample(payload: bytes, *, key="fleet/a/telemetry", session="1", number: int | None = None, ntp: int | None = None):
     """Return what stands for a Zenoh sample, with a number of its publisher and a time stamp of its session."""
-    source = SimpleNamespace(source_id=session, source_sn=number) if number is not None else None
+    source = SimpleNamespace(source_id=Source(session), source_sn=number) if number is not None else None
     stamp = f"{ntp}/{session}" if ntp is not None else None
     return SimpleNamespace(key_expr=key, source_info=source, timestamp=stamp, payload=Payload(payload))
 
@@ -172,20 +184,47 @@ def test_all_caches_are_asked_at_the_start_while_live_samples_wait():
     assert history.collect(0.0) == []
     assert list(node.asked) == EVERYBODY
     assert history.is_waiting(0.0)
-    node.answer("cached")
-    assert history.collect(1.0) == ["cached"]
+    cached = sample(b"cached")
+    node.answer(cached)
+    assert history.collect(1.0) == [cached]
     assert history.is_waiting(1.0 + SETTLE_S / 2), "samples in flight may still come"
     assert not history.is_waiting(1.0 + AFTER)
     assert history.asked == 2
 
 
-def test_a_publisher_that_appears_is_asked_alone():
+def test_a_session_that_appears_is_asked_alone_and_only_its_live_samples_wait():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    node.tell(CAR.replace("telemetry", "ride"), zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert list(node.asked) == [OF_CAR]
+    assert not history.is_waiting(1.0)
+    own, of_another, forged = sample(b"own", number=3), sample(b"b", key="fleet/b", number=1), sample(b"c", session="2")
+    assert history.withhold([own, of_another, forged], str) == [of_another, forged]
+    assert history.release(1.0 + FIRST_S / 2) == ([], [])
+    cached = sample(b"cached", number=2)
+    node.answer(cached)
+    history.collect(1.0)
+    assert history.release(1.0 + SETTLE_S / 2) == ([], []), "samples in flight may still come"
+    history.collect(1.0 + AFTER)
+    assert history.release(1.0 + AFTER) == ([own], [cached])
+    assert history.withhold([own], str) == [own]
+
+
+def test_a_further_publisher_of_a_session_that_is_there_is_not_asked():
     node = FakeNode()
     history = start(node)
     node.tell(CAR, zenoh.SampleKind.PUT)
     history.collect(1.0)
-    assert list(node.asked) == [CAR]
-    assert history.is_waiting(1.0)
+    assert list(node.asked) == [OF_CAR]
+    node.answer()
+    history.collect(1.0 + AFTER)
+    history.release(1.0 + AFTER)
+    for number in range(100):
+        node.tell(CAR.replace("/a/", f"/{number}/"), zenoh.SampleKind.PUT)
+        history.collect(2.0 + number)
+    assert not node.asked
 
 
 def test_a_token_that_is_told_twice_is_asked_once():
@@ -197,13 +236,48 @@ def test_a_token_that_is_told_twice_is_asked_once():
     assert history.asked == 2 + 1
 
 
-def test_many_publishers_are_asked_together():
+def test_only_so_many_sessions_are_asked_at_a_time_and_the_others_follow():
     node = FakeNode()
     history = start(node)
-    for number in range(SINGLY + 1):
-        node.tell(CAR.replace("/a/", f"/{number}/"), zenoh.SampleKind.PUT)
+    sessions = [f"fleet/{number}/telemetry/@adv/pub/{number}/0/_" for number in range(MOST_ASKED + 5)]
+    for token in sessions:
+        node.tell(token, zenoh.SampleKind.PUT)
     history.collect(1.0)
-    assert list(node.asked) == EVERYBODY
+    assert len(node.asked) == MOST_ASKED
+    node.answer()
+    for now in (1.0, 1.0 + AFTER):
+        history.collect(now)
+        history.release(now)
+    history.collect(2.0)
+    assert len(node.asked) == 5
+
+
+def test_sessions_that_never_answer_under_one_key_take_few_places():
+    node = FakeNode()
+    history = start(node)
+    most = 0
+    for tick in range(500):
+        now = 1.0 + 0.1 * tick
+        node.tell(f"fleet/evil/telemetry/@adv/pub/{tick}/0/_", zenoh.SampleKind.PUT)
+        history.collect(now)
+        history.release(now)
+        assert not history.is_waiting(now)
+        assert history.withhold([sample(b"b", number=1)], str)
+        most = max(most, len(history._asked))
+    assert most <= RETURNS + 1
+
+
+def test_session_that_sends_too_much_waits_no_longer():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    large = sample(bytes(HOLD_BYTES_EACH // 2), number=1)
+    assert history.withhold([large], str) == []
+    assert history.release(1.0) == ([], [])
+    assert history.withhold([large, large], str) == []
+    assert history.release(1.0)[0] == [large] * 3
+    assert history.withhold([large], str) == [large]
 
 
 def test_publishers_of_forecasts_are_not_asked():
@@ -224,7 +298,17 @@ def test_a_publisher_that_appears_while_others_answer_is_asked_afterwards():
     assert list(node.asked) == EVERYBODY
     node.answer()
     history.collect(2.0)
-    assert list(node.asked) == [CAR]
+    assert list(node.asked) == [OF_CAR]
+
+
+def test_session_that_has_answered_with_all_is_not_asked_again():
+    node = FakeNode()
+    history = CacheHistory(node, SPACES)
+    history.collect(0.0)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    node.answer(sample(b"cached", number=1))
+    history.collect(1.0)
+    assert not node.asked
 
 
 def test_caches_that_do_not_answer_are_not_awaited_forever():
@@ -253,6 +337,7 @@ def test_live_samples_wait_while_the_router_is_away_and_until_its_publishers_are
     history.collect(3.0)
     node.answer()
     history.collect(3.0)
+    history.release(3.0 + AFTER)
     assert not history.is_waiting(3.0 + AFTER)
 
 
@@ -270,14 +355,15 @@ def test_a_publisher_that_does_not_come_back_with_the_router_is_not_awaited_fore
     assert not history.is_waiting(late + AFTER)
 
 
-def test_a_publisher_that_goes_alone_is_awaited_only_while_the_router_may_be_lost():
+def test_a_publisher_that_goes_alone_is_not_awaited():
     node = FakeNode()
     history = start(node)
     node.tell(CAR, zenoh.SampleKind.DELETE)
     history.collect(1.0)
-    assert history.is_waiting(1.0)
-    history.collect(1.0 + 2 * DOUBT_S)
-    assert not history.is_waiting(1.0 + 2 * DOUBT_S)
+    assert not history.is_waiting(1.0)
+    node.routers = []
+    history.collect(1.0 + DOUBT_S / 2)
+    assert history.is_waiting(1.0 + DOUBT_S / 2), "the router was lost with it"
 
 
 def test_a_router_does_not_wait_for_a_publisher_that_goes():
@@ -297,7 +383,9 @@ def test_a_token_that_comes_and_goes_does_not_hold_live_samples_forever():
         node.tell(CAR, zenoh.SampleKind.DELETE if tick % 2 else zenoh.SampleKind.PUT)
         history.collect(now)
         node.answer()
-        waits.append(history.is_waiting(now))
+        history.release(now)
+        waits.append(not history.withhold([sample(b"", number=tick)], str))
+        assert not history.is_waiting(now)
     assert waits[0]
     assert sum(waits) * 0.05 < 4.0
     assert history.asked <= 2 + 2 * (RETURNS + 1)
@@ -311,24 +399,42 @@ def test_the_cache_of_a_token_that_came_often_is_asked_later():
         node.tell(CAR, zenoh.SampleKind.PUT)
         history.collect(1.0 + now)
         node.answer()
+        history.collect(1.1 + now)
+        history.release(1.5 + now)
     assert history.asked == 2 + RETURNS
     history.collect(1.0 + RETURNS_S)
     assert history.asked == 2 + RETURNS + 1
 
 
-def test_tokens_of_many_publishers_hold_live_samples_for_a_limited_time():
+def test_live_samples_of_a_session_whose_caches_never_answer_wait_for_a_limited_time():
     node = FakeNode()
     history = start(node)
-    held, longest = 0, 0
-    for tick in range(1000):
-        now = 1.0 + 0.05 * tick
-        node.tell(CAR.replace("/a/", f"/{tick}/"), zenoh.SampleKind.PUT)
-        node.tell(CAR.replace("/a/", f"/{tick}/"), zenoh.SampleKind.DELETE)
-        history.collect(now)
-        node.answer()
-        held = held + 1 if history.is_waiting(now) else 0
-        longest = max(longest, held)
-    assert HOLD_S - 1.0 < longest * 0.05 < HOLD_S + 0.1
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    live = sample(b"", number=1)
+    history.withhold([live], str)
+    assert history.release(1.0 + 0.99 * FIRST_S) == ([], [])
+    assert history.release(1.0 + FIRST_S) == ([live], [])
+    assert history.withhold([live], str) == [live]
+    late = sample(b"late")
+    node.answer(late)
+    history.collect(3.0)
+    assert history.release(3.0) == ([], [late])
+
+
+def test_answers_end_the_wait_though_somebody_leaves_the_question_open():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    live, cached = sample(b"", number=2), sample(b"", number=1)
+    history.withhold([live], str)
+    node.asked[OF_CAR].append(SimpleNamespace(ok=cached))
+    history.collect(1.1)
+    assert history.release(1.1 + SETTLE_S / 2) == ([], [])
+    assert history.release(1.1 + AFTER) == ([live], [cached])
+    history.release(1.0 + HOLD_S)
+    assert not history._asked
 
 
 def test_queries_that_fail_are_logged_and_end_the_wait(monkeypatch, caplog):
@@ -364,11 +470,15 @@ def test_caches_of_real_publishers_answer_in_full_and_a_newcomer_is_asked():
         history = CacheHistory(node, SPACES)
 
         def has_all(car: str) -> bool:
-            got.extend(history.collect(time.monotonic()))
+            now = time.monotonic()
+            got.extend(history.collect(now))
+            got.extend(history.release(now)[1])
             payloads = [each.payload.to_bytes() for each in merge_samples(got) if f"/{car}/" in str(each.key_expr)]
             return payloads == sent[car]
 
         assert eventually(lambda: has_all("a"))
-        sink.put([Message("fleet/b/telemetry", payload, 0) for payload in sent["b"]])
-        assert eventually(lambda: has_all("b"))
+        with Node(Connection(connect=(endpoint,))) as newcomer:
+            other = ZenohSink(newcomer)  # its caches live as long as it does
+            other.put([Message("fleet/b/telemetry", payload, 0) for payload in sent["b"]])
+            assert eventually(lambda: has_all("b"))
         history.close()

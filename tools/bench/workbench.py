@@ -45,7 +45,15 @@ class BoardSource:
 
     def describe(self) -> dict[str, Any]:
         """Return the state of a live service."""
-        return {"mode": "live", "endpoint": "benchmark", "time_s": None, "received": 0, "dropped": 0}
+        return {
+            "mode": "live",
+            "endpoint": "benchmark",
+            "time_s": None,
+            "received": 0,
+            "dropped": 0,
+            "refused": {},
+            "problem": "",
+        }
 
     def ask(self, vehicle_id: str, parameters: Mapping[str, str]) -> Outlook:
         """Refuse: there is no pipeline."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from socast.core.files import replacing
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.recording_metadata import list_changed_settings, make_metadata
 from socast.tools.cluster.workers import Workers
 from socast.tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
@@ -36,7 +36,7 @@ def write_recording(fleet: PreparedFleet, out: Path, workers: Workers) -> Truth:
     settings = list_changed_settings(simulation, Simulation())
     settings.pop("hidden", None)  # whoever looks for the effect finds it in the truth only
     metadata = make_metadata("simulate", settings=settings)
-    with McapSink(out, metadata=metadata) as sink, _without_garbage_collection():
+    with replace_recording(out, metadata=metadata) as sink, _without_garbage_collection():
         cars: list[CarFile] = list(workers.run(DRIVE, write_car, tasks))
         merges = len(plan_merge(cars))
         workers.report(WRITE, 0, merges)

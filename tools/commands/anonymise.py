@@ -16,7 +16,7 @@ from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import Message, Weather, address
 from socast.core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples
 from socast.stream.mcap_reader import McapSource
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.recording_metadata import make_metadata
 from socast.stream.source import merge_sources
 from socast.tools.anonymise.disguise import keeps_days, make_disguise
@@ -115,11 +115,12 @@ def rewrite_recordings(sources: Sequence[McapSource], out: Path, random: Random)
     extent = find_extent(sources)
     disguise = make_disguise(random, *extent)
     rewriter = MessageRewriter(disguise)
-    with show_progress(sources, words="writing") as step, McapSink(out, metadata=make_metadata("anonymise")) as sink:
+    about = make_metadata("anonymise")
+    with show_progress(sources, words="writing") as step, replace_recording(out, metadata=about) as sink:
         for messages in merge_sources(sources):
             sink.put([rewritten for each in messages if (rewritten := rewriter.rewrite(each)) is not None])
             step()
-    refuse_unusable(sources, rewriter.kept.total())
+        refuse_unusable(sources, rewriter.kept.total())
     rewriter.dropped["of another contract"] = sum(source.losses.foreign.total() for source in sources)
     rewriter.dropped["for viewers"] = sum(source.viewer_messages.total() for source in sources)
     return {

@@ -12,7 +12,7 @@ from rich.progress import track
 
 from socast.core.errors import ImportFileError, SettingsError
 from socast.core.formatting import format_count
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.recording_metadata import make_metadata
 from socast.tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
 from socast.tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
@@ -217,7 +217,7 @@ def write_recording(
     planned = [plan for shift in shifts for plan in make_plans(shift)]
     recording = sorted([*make_messages(drives, period), *planned], key=attrgetter("receipt_ns"))
     chosen = dict(settings or {}) | ({} if shift_hours is None else {"shift_hours": shift_hours})
-    with McapSink(out, metadata=make_metadata("import", settings=chosen)) as sink:
+    with replace_recording(out, metadata=make_metadata("import", settings=chosen)) as sink:
         for start in _show_progress(range(0, len(recording), BLOCK), "writing"):
             sink.put(recording[start : start + BLOCK])
     cars = len({drive.vehicle_id for drive in drives})

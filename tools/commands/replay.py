@@ -1,9 +1,10 @@
 """`socast replay`: pass recorded shifts through a model, or publish them to a router."""
 
+import logging
 import shutil
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from datetime import tzinfo
 from math import inf
@@ -25,11 +26,13 @@ from socast.core.settings import Settings
 from socast.core.wire.messages import ModelErrors
 from socast.stream.loop import stop_on_signals
 from socast.stream.mcap_reader import McapSource
-from socast.stream.mcap_writer import McapSink
-from socast.stream.source import Source, merge_sources, pace_source, stop_source
+from socast.stream.mcap_writer import replace_recording
+from socast.stream.source import Sink, Source, merge_sources, pace_source, stop_source
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_delivery import ZenohDelivery
 from socast.stream.zenoh_session import Connection, Node, parse_prefix
-from socast.stream.zenoh_sink import ZenohSink
 from socast.tools.foxglove.recording import FoxgloveRecording
+from socast.tools.foxglove.schemas import SCHEMAS
 from socast.tools.terminal.elevation_option import warn_outside
 from socast.tools.terminal.forecast_options import (
     ForecastOptions,
@@ -172,8 +175,9 @@ def replay(
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if publishes:
             joined = Connection((connect,) if connect else (), mode="client", config=config)
-            with Node(joined) as node:
-                _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
+            log_lines(level=logging.WARNING)
+            with Node(joined) as node, ZenohDelivery(node, prefix) as delivery:
+                _publish(source, delivery, sources, stop, connect or f"the router of {config}")
         elif expectation is None:
             report = _forecast(source, sources, rate, options, out, layout, zone)
             write_json(json_file, "replay", report.result)
@@ -274,15 +278,19 @@ def _forecast(
     models = load_models(options.models)
     pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
     outcomes = ShiftOutcomes(pipeline)
-    metadata = describe_forecasts("replay", options, models)
-    viewed = FoxgloveRecording(out, metadata) if out and layout else None
-    if viewed and layout:
-        run_forecasts(pipeline, sources, viewed.record_source(source), rate, [viewed], outcomes, zone)
+    sinks: list[Sink] = []
+    viewed: FoxgloveRecording | None = None
+    with ExitStack() as writing:
+        if out:
+            metadata, schemas = describe_forecasts("replay", options, models), SCHEMAS if layout else {}
+            sink = writing.enter_context(replace_recording(out, metadata=metadata, viewer_schemas=schemas))
+            if layout:
+                viewed = FoxgloveRecording(sink)
+                source = viewed.record_source(source)
+            sinks.append(viewed or sink)
+        run_forecasts(pipeline, sources, source, rate, sinks, outcomes, zone)
+    if layout and viewed:
         viewed.write_layout(layout)
-    else:
-        run_forecasts(
-            pipeline, sources, source, rate, [McapSink(out, metadata=metadata)] if out else [], outcomes, zone
-        )
     quality = pipeline.quality()
     refuse_unusable(sources, sum(quality["received"].values()))
     rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
@@ -294,11 +302,13 @@ def _forecast(
     return _Report(result, rides, quality, errors, models, advice)
 
 
-def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:
+def _publish(
+    source: Source, delivery: ZenohDelivery, sources: Sequence[McapSource], stop: Event, endpoint: str
+) -> None:
     """Publish recordings as soon as there is a subscriber, or after `SUBSCRIBER_S` without one."""
     console = Console(stderr=True)
     deadline = time.monotonic() + SUBSCRIBER_S
-    while not (subscribed := sink.has_subscriber()) and not stop.is_set():
+    while not (subscribed := delivery.has_subscriber()) and not stop.is_set():
         if time.monotonic() > deadline:
             console.print(f"no subscriber at {endpoint}; publishing anyway", style="yellow", highlight=False)
             break
@@ -307,13 +317,13 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
     began = time.monotonic()
     with show_progress(sources) as step:
         for messages in source:
-            sink.put(messages)
+            if messages and not delivery.deliver(messages, stop):
+                break
             count += len(messages)
             step()
-    if subscribed and not sink.has_subscriber():
+    if subscribed and not stop.is_set() and not delivery.has_subscriber():
         console.print(
             f"the subscriber at {endpoint} is gone and missed the last messages", style="yellow", highlight=False
         )
-    sink.close()
     refuse_unusable(sources, count)
     console.print(f"published {format_count(count, 'message')} in {time.monotonic() - began:.1f} s", highlight=False)

@@ -9,6 +9,7 @@ import typer
 
 from socast.core.errors import SettingsError
 from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits
 from socast.core.wire.shard import By, Shard
 from socast.stream.mcap_reader import McapSource
 from socast.stream.structured_log import log_lines
@@ -129,8 +130,16 @@ def serve(
         if live:
             all_chunks = Shard(1, 1, shard_by) if shard_by == "chunk" else None
             ends = tuple(connect or ())
-            connection = Connection(ends, mode="client", prefix=options.prefix, config=config, shard=all_chunks)
-            workbench.fleet = _observe(connection)
+            workbench.fleet = _observe(
+                Connection(
+                    ends,
+                    mode="client",
+                    prefix=options.prefix,
+                    config=config,
+                    shard=all_chunks,
+                    largest_bytes=Limits().payload_bytes,
+                )
+            )
         elif workspace.recordings:
             workbench.fleet = _replay(workspace.recordings, source, options)
         if workbench.fleet is not None:

@@ -1,7 +1,7 @@
 """The recording of a replay for Foxglove: the messages, the forecasts, and the topics for viewers."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from socast.core.errors import RecordingError
@@ -11,7 +11,6 @@ from socast.stream.closeable import Closeable
 from socast.stream.mcap_writer import McapSink
 from socast.stream.source import Source
 from socast.tools.foxglove.layout import make_layout
-from socast.tools.foxglove.schemas import SCHEMAS
 from socast.tools.foxglove.topics import ViewerTopics
 
 
@@ -19,11 +18,15 @@ class FoxgloveRecording(Closeable):
     """Write what is replayed as it is, and beside it, for viewers only, forecasts, positions and warnings.
 
     The readers of socast leave out what is for viewers, so that a replay of this recording equals one of the original.
+
+    Parameters
+    ----------
+    sink : McapSink
+        Writer of the recording, with the schemas of `socast.tools.foxglove.schemas`.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
-        self.path = path
-        self._sink = McapSink(path, metadata=metadata, viewer_schemas=SCHEMAS)
+    def __init__(self, sink: McapSink) -> None:
+        self._sink = sink
         self._topics = ViewerTopics()
         self._cars: dict[str, None] = {}
 

@@ -12,7 +12,7 @@ from socast.core.errors import SettingsError
 from socast.core.files import write_whole
 from socast.core.wire.messages import Message, encode
 from socast.stream.mcap_reader import McapSource
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.recording_metadata import make_metadata
 from socast.stream.source import merge_sources
 from socast.tools.spikein.car_readings import FleetReader, FleetReadings
@@ -86,7 +86,8 @@ def _copy(
     """Write the messages of recordings, some of them changed, and observations between them."""
     number, due = 0, 0
     again = [McapSource(source.path) for source in sources]
-    with show_progress(again, words="writing") as step, McapSink(out, metadata=make_metadata("spikein")) as sink:
+    about = make_metadata("spikein")
+    with show_progress(again, words="writing") as step, replace_recording(out, metadata=about) as sink:
         for messages in merge_sources(again):
             written: list[Message] = []
             for message in messages:

@@ -10,7 +10,7 @@ import numpy as np
 
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.wire.messages import Message, Telemetry, Vehicle, encode
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.tools.simulator.logger import SPIKES
 
 START_S: Final = 1_705_320_000.0
@@ -103,7 +103,7 @@ def gather_messages(*parts: Iterable[Message | Mapping[str, Any]]) -> list[Messa
 
 def write_recording(messages: Sequence[Message], path: Path) -> Path:
     """Write messages as a recording, and return its path."""
-    with McapSink(path) as sink:
+    with replace_recording(path) as sink:
         sink.put(messages)
     return path
 

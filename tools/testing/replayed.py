@@ -11,7 +11,7 @@ from socast.core.forecast.forecast_table import is_forecast, tabulate_forecasts
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.stream.loop import feed
-from socast.stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import replace_recording
 from socast.stream.source import merge_sources
 from socast.stream.structured_log import flatten_counts
 from socast.tools.terminal.forecast_options import ForecastOptions, make_pipeline
@@ -55,7 +55,7 @@ def replay_recordings(recordings: Sequence[str | Path], options: ForecastOptions
     forecasts = []
     for _ in feed(merge_sources(sources), pipeline):
         forecasts += [each for each in pipeline.forecasts() if is_forecast(each)]
-    with McapSink(out) as sink:
+    with replace_recording(out) as sink:
         sink.put(forecasts)
     losses = tuple(f"{source.path}: {line}" for source in sources for line in source.losses.lines())
     return Replayed(tabulate_forecasts(forecasts), *take_tables(pipeline), out, losses)

@@ -19,6 +19,8 @@ from starlette.responses import JSONResponse, PlainTextResponse, RedirectRespons
 
 ENTRY: Final = "/enter"
 """Path of the printed address; its parameter `token` is used once."""
+READY: Final = "/readyz"
+"""Path that needs no session: whoever restarts the workbench asks there."""
 MOST_SESSIONS: Final = 64
 """Largest number of browsers that have a session; the oldest session ends when another begins."""
 POLICY: Final = (
@@ -94,7 +96,7 @@ class AccessControl:
         refusal = self._find_fault(scope, headers, is_socket=is_socket)
         if refusal is None and not is_socket and scope["path"] == ENTRY:
             await self._enter(scope)(scope, receive, _add_headers(send))
-        elif refusal is None and self._has_session(headers):
+        elif refusal is None and (scope["path"] == READY or self._has_session(headers)):
             await self._application(scope, receive, send if is_socket else _add_headers(send))
         elif is_socket:
             await receive()  # the server expects that the handshake is read before it is refused

@@ -1,5 +1,6 @@
 """The web application: static files, JSON routes and the socket of the fleet."""
 
+import asyncio
 import logging
 import mimetypes
 from pathlib import Path
@@ -9,11 +10,12 @@ import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from socast.core.errors import SocastError
-from socast.tools.workbench.access import refuse
+from socast.tools.workbench.access import READY, refuse
+from socast.tools.workbench.connections import REQUEST_S
 from socast.tools.workbench.fleet.feed import FleetFeed
 from socast.tools.workbench.fleet.frames import describe_frames
 from socast.tools.workbench.fleet.routes import ROUTES as FLEET_ROUTES
@@ -60,11 +62,17 @@ def make_application(workbench: Workbench) -> Starlette:
     """Return the web application of a workbench, without the control of access."""
     files = {f"/static/{path.name}": path for path in sorted(STATIC.iterdir()) if path.suffix in _TYPES}
     files["/"] = STATIC / "index.html"
+    feed = FleetFeed(workbench.fleet) if workbench.fleet is not None else None
     routes: list[BaseRoute] = [Route(path, _make_file_endpoint(file)) for path, file in files.items()]
     routes += [_make_route(workbench, route) for route in (*SHELL_ROUTES, *FLEET_ROUTES, *LOOP_ROUTES)]
-    if workbench.fleet is not None:
-        feed = FleetFeed(workbench.fleet)
+    if feed is not None:
         routes.append(WebSocketRoute("/fleet.socket", feed.serve))
+
+    def answer_whether_ready(_: Request) -> Response:
+        problem = feed.find_problem() if feed is not None else ""
+        return PlainTextResponse(f"{problem or 'ok'}\n", 503 if problem else 200)
+
+    routes.append(Route(READY, answer_whether_ready))
     if workbench.tiles is not None:
         routes.append(Route("/tiles/{zoom:int}/{x:int}/{y:int}", _make_tile_endpoint(workbench.tiles)))
 
@@ -134,7 +142,11 @@ async def _read_object(request: Request, workbench: Workbench) -> dict[str, Any]
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise _RefusedError(415, "the header Content-Type must be application/json")
     try:
-        return msgspec.json.decode(await _read_body(request), type=dict[str, Any])
+        async with asyncio.timeout(REQUEST_S):
+            body = await _read_body(request)
+        return msgspec.json.decode(body, type=dict[str, Any])
+    except TimeoutError as error:
+        raise _RefusedError(408, f"the request is not whole after {REQUEST_S:g} s: send it again") from error
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise _RefusedError(400, f"the request holds no JSON object: {error}") from error
 

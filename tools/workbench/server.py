@@ -16,6 +16,7 @@ import uvicorn
 
 from socast.core.errors import SettingsError
 from socast.tools.workbench.access import ENTRY, AccessControl, Sessions, is_any, is_loopback
+from socast.tools.workbench.connections import MOST_CONNECTIONS, BoundedConnection
 from socast.tools.workbench.json_routes import Workbench
 from socast.tools.workbench.routes import make_application
 
@@ -23,8 +24,6 @@ STOP_S: Final = 1
 """Longest time that open connections are given at the end. [s]"""
 LARGEST_FRAME: Final = 4096
 """Largest frame that a browser may send over a WebSocket; the pages send none. [B]"""
-MOST_CONNECTIONS: Final = 256
-"""Largest number of connections at a time; further requests are refused."""
 _log = logging.getLogger("socast.workbench")
 
 
@@ -62,6 +61,7 @@ class WorkbenchServer:
             date_header=False,
             proxy_headers=False,
             lifespan="off",
+            http=BoundedConnection,
             ws="websockets-sansio",
             ws_max_size=LARGEST_FRAME,
             ws_per_message_deflate=False,

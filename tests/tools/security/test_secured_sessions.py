@@ -19,7 +19,6 @@ from socast.stream import zenoh_standby
 from socast.stream.zenoh_observer import ZenohObserver
 from socast.stream.zenoh_overlap import GRACE_S, OverlapWatch
 from socast.stream.zenoh_queryable import query_outlook
-from socast.stream.zenoh_receiver import _subscribe
 from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import CACHE, ZenohSink
 from socast.stream.zenoh_standby import FencedSink, Standby
@@ -126,15 +125,14 @@ def test_history_of_forecasts_reaches_a_dispatch_that_starts_later(fleet):
         sink = ZenohSink(node)
         sink.put(sent)
         with join(fleet, "dispatch") as dispatch:
-            subscriber = _subscribe(dispatch, "montreal/fleet/*/forecast")
-            heard: set[str] = set()
+            observer, heard = ZenohObserver(dispatch, ()), set[str]()
 
             def hears_all() -> bool:
-                while (sample := subscriber.try_recv()) is not None:
-                    heard.add(str(sample.key_expr))
+                heard.update(message.key for message in observer.take())
                 return heard == {message.key for message in sent}
 
             assert eventually(hears_all)
+            observer.close()
 
 
 def test_forecasts_reach_dispatch_and_their_car_but_no_forged_ones_and_no_other_car(service):

@@ -10,7 +10,7 @@ import numpy as np
 
 from socast.core.errors import ImportFileError
 from socast.core.vehicles import load_catalogue
-from socast.stream.mcap_writer import MOST_CHANNELS, McapSink
+from socast.stream.mcap_writer import MOST_CHANNELS, replace_recording
 from socast.stream.recording_metadata import make_metadata
 from socast.tools.importers.table.agreement import Check
 from socast.tools.importers.table.agreement_sums import AgreementSums
@@ -83,29 +83,24 @@ def convert_tables(
     messages = RowMessages(columns, reader, rate.find_power_step)
     sun, stations = SunWitness(), StationMessages(weather) if weather else None
     messages.weather.is_sent = stations is None  # the nearest station counts, which would be the car
-    try:
-        with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
-            spread = _SpreadRows(reader)
-            sorted_rows = sort_rows(_read_limited(reader, tables, rate), out.resolve().parent)
-            once = leave_out_covered_twice(sorted_rows, reader.spans, reader.faults.causes)
-            for rows in _sample(spread.iterate(once), columns):
-                if not messages.samples:  # sorting has read all files
-                    refuse_overlap(reader, columns)
-                sums.add(rows)
-                unit.add(rows)
-                sun.add_rows(rows)
-                made = messages.make(rows)
-                sink.put(stations.merge(rows, made) if stations else made)
-    except ImportFileError:
-        out.unlink()
-        raise
-    notes = spread.list_notes()
-    if not messages.samples:
-        out.unlink()
-        found = reader.explain_causes(tables[0].decimal)
-        raise ImportFileError(
-            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
-        )
+    with replace_recording(out, metadata=make_metadata("import", settings=settings or {})) as sink:
+        spread = _SpreadRows(reader)
+        sorted_rows = sort_rows(_read_limited(reader, tables, rate), out.resolve().parent)
+        once = leave_out_covered_twice(sorted_rows, reader.spans, reader.faults.causes)
+        for rows in _sample(spread.iterate(once), columns):
+            if not messages.samples:  # sorting has read all files
+                refuse_overlap(reader, columns)
+            sums.add(rows)
+            unit.add(rows)
+            sun.add_rows(rows)
+            made = messages.make(rows)
+            sink.put(stations.merge(rows, made) if stations else made)
+        notes = spread.list_notes()
+        if not messages.samples:
+            found = reader.explain_causes(tables[0].decimal)
+            raise ImportFileError(
+                f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
+            )
     faults = [unit.check(), None if columns.long else rate.find_fault(reader.vehicles, columns.time.columns[0])]
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(

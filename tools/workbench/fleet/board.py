@@ -4,11 +4,12 @@ A board takes the telemetry that cars send and the forecasts that `socast` publi
 live service does. It never computes a forecast.
 """
 
+import logging
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby
-from math import nan
+from math import isfinite, nan
 from threading import RLock
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from socast.core.forecast.status import find_ended_shifts
 from socast.core.wire.live_fields import list_live_fields
-from socast.core.wire.messages import Finding, Forecast, Interval, Message, address
+from socast.core.wire.messages import Address, Finding, Forecast, Interval, Message, address
 from socast.core.wire.sample_reader import Samples, holds_samples, read_samples
 from socast.tools.workbench.fleet.density import TraceDensity
 from socast.tools.workbench.fleet.fleet_time import SILENT_S, FleetTime, find_newest
@@ -34,6 +35,17 @@ MOST_COUNT: Final = 2**53
 """Largest number of samples by cause that a forecast may give."""
 MOST_FINDINGS: Final = 200
 """Largest number of findings that are kept, the newest."""
+MOST_BYTES: Final = 1 << 16
+"""Largest message that holds no samples. [B]"""
+LONGEST_NAME: Final = 256
+"""Largest number of characters of the name of a ride or of a vehicle model."""
+LATEST_S: Final = 2.0**33
+"""Latest time of a forecast, in the year 2242. [Unix s]"""
+UNDECODABLE, IMPOSSIBLE, TOO_LARGE, SURPLUS, DEFECT = "undecodable", "impossible", "too_large", "surplus", "defect"
+REFUSED: Final = (UNDECODABLE, IMPOSSIBLE, TOO_LARGE, SURPLUS, DEFECT)
+"""Causes for which a message is left out: no message of the contract, values that cannot be, its size, more cars than
+`MOST_CARS`, and a defect of the board."""
+_log = logging.getLogger("socast.workbench")
 
 
 class _Vehicle(msgspec.Struct):
@@ -174,31 +186,57 @@ class Board:
         return self._histories[self._rows[vehicle_id]]
 
     def take(self, messages: Iterable[Message]) -> None:
-        """Take messages in their order; what is no message of the contract is counted and left out."""
+        """Take messages in their order; those of `REFUSED` are counted by cause and left out."""
         with self.lock:
             for are_samples, part in groupby(messages, holds_samples):
-                if are_samples:
-                    for samples in read_samples(part, self.counts):
-                        self._take_samples(samples)
-                else:
-                    for message in part:
-                        self._take_other(message)
+                self._guard(self._take_telemetry if are_samples else self._take_others, list(part))
 
-    def _take_other(self, message: Message) -> None:
-        """Take a message that holds no samples."""
-        where = address(message.key)
-        decode = self._decode.get(where.kind) if where else None
-        if where is None or decode is None:
-            return
+    def count_refused(self) -> dict[str, int]:
+        """Return the number of messages that were left out, by cause."""
+        return {cause: self.counts[cause] for cause in REFUSED if self.counts[cause]}
+
+    def _guard(self, take: Callable[[list[Message]], None], messages: list[Message]) -> None:
+        """Take messages; if that fails, take them one by one, so that only those that fail are left out."""
         try:
-            value = decode(message.payload)
+            take(messages)
+        except Exception:  # noqa: BLE001 - whatever a stranger sends, the board goes on
+            if len(messages) > 1:
+                for message in messages:
+                    self._guard(take, [message])
+                return
+            if not self.counts[DEFECT]:
+                _log.exception("a message under %s was left out by a defect; later ones are counted", messages[0].key)
+            self.counts[DEFECT] += 1
+
+    def _take_telemetry(self, messages: list[Message]) -> None:
+        """Take samples and batches."""
+        for samples in read_samples(messages, self.counts):
+            self._take_samples(samples)
+
+    def _take_others(self, messages: list[Message]) -> None:
+        """Take messages that hold no samples."""
+        for message in messages:
+            where = address(message.key)
+            decode = self._decode.get(where.kind) if where else None
+            if where is not None and decode is not None:
+                self.counts[self._take_other(where, decode, message.payload)] += 1
+
+    def _take_other(self, where: Address, decode: Callable[[bytes], Any], payload: bytes) -> str:
+        """Take a message that holds no samples; return its kind, or why it is left out."""
+        if len(payload) > MOST_BYTES:
+            return TOO_LARGE
+        try:
+            value = decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-            value = None
-        if value is None or (isinstance(value, Forecast) and not _is_possible(value)):
-            self.counts["undecodable"] += 1
-            return
-        self.counts[where.kind] += 1
+            return UNDECODABLE
+        if not _is_possible(value):
+            return IMPOSSIBLE
+        if not isinstance(value, Finding):
+            known: Mapping[str, Any] = self.models if isinstance(value, _Vehicle) else self._rows
+            if len(known) >= MOST_CARS and where.identity not in known:
+                return SURPLUS
         self._take_value(where.identity, value)
+        return where.kind
 
     def _take_value(self, identity: str, value: Any) -> None:
         """Take the content of a message that holds no samples."""
@@ -209,8 +247,8 @@ class Board:
                 del self.findings[next(iter(self.findings))]
         elif isinstance(value, _Vehicle):
             self.models[identity] = value.model
-        elif (row := self._find_row(identity)) >= 0:
-            self._take_forecast(identity, row, value)
+        else:
+            self._take_forecast(identity, self._find_row(identity), value)
 
     def _find_row(self, vehicle_id: str) -> int:
         """Return the row of a car, a new one for a new car; -1 above `MOST_CARS`."""
@@ -228,6 +266,8 @@ class Board:
         """Take samples of telemetry."""
         columns = samples.columns
         rows = np.array([self._find_row(vehicle_id) for vehicle_id in samples.vehicle_ids], np.int64)
+        if surplus := int(np.sum(rows < 0)):
+            self.counts[SURPLUS] += surplus
         is_taken = write_samples(self._values, rows, columns)
         self.density.add(columns.latitude[is_taken], columns.longitude[is_taken])
 
@@ -277,9 +317,15 @@ class Board:
             self.epoch += 1
 
 
-def _is_possible(forecast: Forecast) -> bool:
-    """Return whether the counts of a forecast can be counts; a stranger may send numbers of any length."""
-    return all(0 <= count <= MOST_COUNT for count in msgspec.structs.astuple(forecast.quality))
+def _is_possible(value: Finding | Forecast | _Vehicle) -> bool:
+    """Return whether numbers and names can be such; a stranger may send them of any size."""
+    if isinstance(value, _Vehicle):
+        return len(value.model) <= LONGEST_NAME
+    if isinstance(value, Finding):
+        return isfinite(value.probability)
+    counts = msgspec.structs.astuple(value.quality)
+    is_named = value.ride_id is None or len(value.ride_id) <= LONGEST_NAME
+    return is_named and 0.0 <= value.time_s <= LATEST_S and all(0 <= count <= MOST_COUNT for count in counts)
 
 
 def _list_values(value: Interval | float | None) -> tuple[float, ...]:

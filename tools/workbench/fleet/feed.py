@@ -1,8 +1,8 @@
 """The socket of the fleet: every browser receives the newest frame, and a slow one skips those in between.
 
 A frame is encoded once for all browsers. Beside frames the socket sends JSON: once the columns, then the names of cars
-that are new, the state of the player, and the alarms, each when it changed. It takes nothing: a browser that sends
-anything is disconnected.
+that are new, the state of the player, the alarms, and why the pages get no newer, each when it changed. It takes
+nothing: a browser that sends anything is disconnected.
 """
 
 import asyncio
@@ -34,8 +34,13 @@ class FleetFeed:
         self._clients = self._sequence = 0
         self._frame, self._values = b"", b""
         self._notes: dict[str, bytes] = {}
+        self._problem = ""
         self._task: asyncio.Task[None] | None = None
         self._changed = asyncio.Event()
+
+    def find_problem(self) -> str:
+        """Return why the pages get no newer; an empty text where they do."""
+        return self._problem or str(self._source.describe()["problem"])
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve a browser until it leaves."""
@@ -61,7 +66,14 @@ class FleetFeed:
         """Encode frames at intervals until no page is open."""
         while self._clients:
             self._sequence += 1
-            frame, notes = await asyncio.to_thread(self._make)
+            try:
+                frame, notes = await asyncio.to_thread(self._make)
+                self._problem = ""
+            except Exception:  # noqa: BLE001 - pages that are open must not keep old values unseen
+                if not self._problem:
+                    _log.exception("the pages of the fleet cannot be renewed")
+                self._problem = "the pages cannot be renewed, because of a defect; see the log of `socast serve`"
+                frame, notes = self._frame, self._notes | {"problem": msgspec.json.encode({"problem": self._problem})}
             if frame[HEAD.size :] != self._values or frame[:8] != self._frame[:8] or notes != self._notes:
                 self._frame, self._values, self._notes = frame, frame[HEAD.size :], notes
                 changed, self._changed = self._changed, asyncio.Event()
@@ -71,7 +83,7 @@ class FleetFeed:
     def _make(self) -> tuple[bytes, dict[str, bytes]]:
         """Return a frame and the notes beside it, as JSON by name."""
         state = self._source.describe()
-        notes = {"source": state, "alarms": list_alarms(self._board)}
+        notes = {"source": state, "alarms": list_alarms(self._board), "problem": state["problem"]}
         return encode_frame(self._board, self._sequence), {
             name: msgspec.json.encode({name: value}) for name, value in notes.items()
         }

@@ -66,6 +66,8 @@ class Observer:
             "time_s": round(newest, 3) if newest == newest else None,  # noqa: PLR0124 - NaN
             "received": sum(self.board.counts.values()),
             "dropped": self._source.dropped,
+            "refused": self.board.count_refused(),
+            "problem": self._find_problem(),
         }
 
     def ask(self, vehicle_id: str, parameters: Mapping[str, str]) -> Outlook:
@@ -97,10 +99,18 @@ class Observer:
         """Return None: a live service does not publish the energy by term."""
         return None
 
+    def _find_problem(self) -> str:
+        """Return why the board gets no newer; an empty text where it does."""
+        if not self._thread.is_alive():
+            return "nothing is taken any more, because of a defect: see the log, and start `socast serve` again"
+        if not self._source.has_router:
+            return f"no router at {self._endpoints}; waiting for it"
+        return ""
+
     def _run(self) -> None:
-        """Take what arrives until the end."""
-        while not self._stop.wait(LOOK_S):
-            try:
+        """Take what arrives until the end; the board itself leaves out what it cannot take."""
+        try:
+            while not self._stop.wait(LOOK_S):
                 self.board.take(self._source.take())
-            except Exception:  # noqa: BLE001 - the pages must not keep old values for the rest of the day
-                _log.exception("messages were left out by a defect")
+        except Exception:  # noqa: BLE001 - the pages say so
+            _log.exception("the observer stopped by a defect")

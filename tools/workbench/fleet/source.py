@@ -21,7 +21,7 @@ class FleetSource(Protocol):
         """End."""
 
     def describe(self) -> dict[str, Any]:
-        """Return the state of the source as a JSON record."""
+        """Return the state of the source as a JSON record; its `problem` is why the board gets no newer, or empty."""
 
     def ask(self, vehicle_id: str, parameters: Mapping[str, str]) -> Outlook:
         """Return the outlook on the rest of a car's shift; `parameters` define a ride."""

@@ -9,6 +9,7 @@ const SPEEDS = [1, 10, 60, 300, "max"];
 // Draw the bar into a new element; `socket` tells the state, and commands go to POST /player.
 export function makePlayerBar(socket, context) {
   const bar = el("section", { class: "player card", "aria-label": "Replay" });
+  const banner = el("p", { class: "banner", role: "alert", hidden: true });
   const status = el("p", { class: "player-state small soft", role: "status" });
   const parts = {};
   let mode = null;
@@ -46,9 +47,9 @@ export function makePlayerBar(socket, context) {
 
   function buildLive() {
     parts.time = el("output", { class: "player-time" });
+    parts.live = el("span", { class: "chip good" }, el("span", { class: "pulse", "aria-hidden": "true" }), "Live");
     bar.setAttribute("aria-label", "Live service");
-    bar.replaceChildren(el("div", { class: "player-row" },
-      el("span", { class: "chip good" }, el("span", { class: "pulse", "aria-hidden": "true" }), "Live"), parts.time, status));
+    bar.replaceChildren(el("div", { class: "player-row" }, parts.live, parts.time, status));
   }
 
   const sliderTime = () => {
@@ -68,7 +69,8 @@ export function makePlayerBar(socket, context) {
     status.classList.remove("bad");
     if (mode === "live") {
       parts.time.replaceChildren(...(source.time_s ? timeWords(source.time_s) : ["no sample yet"]));
-      status.textContent = `${number(source.received)} messages from ${source.endpoint}${source.dropped ? `, ${number(source.dropped)} dropped` : ""}`;
+      const refused = Object.entries(source.refused).map(([cause, count]) => `, ${number(count)} ${cause.replace("_", " ")}`);
+      status.textContent = `${number(source.received)} messages from ${source.endpoint}${source.dropped ? `, ${number(source.dropped)} dropped` : ""}${refused.join("")}`;
       return;
     }
     const action = source.playing ? "Pause" : source.at_end ? "Play again" : "Play";
@@ -93,10 +95,6 @@ export function makePlayerBar(socket, context) {
     }
     parts.slider.setAttribute("aria-valuetext", `${clock(source.time_s, true)} ${zoneName(source.time_s)} on ${day(source.time_s)}`);
     status.textContent = source.seeking ? "Computing the state at this time" : source.at_end ? "End of the recording" : "";
-    if (source.problem) {
-      status.textContent = `The replay stopped: ${source.problem}`;
-      status.classList.add("bad");
-    }
     status.hidden = !status.textContent;
   }
 
@@ -108,16 +106,25 @@ export function makePlayerBar(socket, context) {
     } else draw();
   }
 
+  function drawProblem() {
+    banner.hidden = !socket.problem;
+    banner.textContent = socket.problem ? `What is shown is old: ${socket.problem}` : "";
+    if (parts.live) parts.live.hidden = !banner.hidden;
+  }
+
   socket.addEventListener("source", draw);
+  socket.addEventListener("problem", drawProblem);
   socket.addEventListener("link", drawLink);
   draw();
+  drawProblem();
   return {
-    bar,
+    bar: el("div", {}, banner, bar),
     // Seek by seconds of the recording, for keys.
     skip: (seconds) => socket.source?.mode === "replay" &&
       send({ time_s: Math.min(Math.max(socket.source.time_s + seconds, socket.source.begin_s), socket.source.end_s) }),
     stop: () => {
       socket.removeEventListener("source", draw);
+      socket.removeEventListener("problem", drawProblem);
       socket.removeEventListener("link", drawLink);
     },
   };

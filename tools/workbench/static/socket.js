@@ -1,4 +1,4 @@
-// The socket of the fleet: binary frames of columns, and notes as JSON. Events: `frame`, `source`, `alarms`, `link`.
+// The socket of the fleet: binary frames of columns, and notes as JSON. Events: `frame`, `source`, `alarms`, `problem`, `link`.
 
 const ARRAYS = { f4: Float32Array, u2: Uint16Array, i2: Int16Array, u1: Uint8Array };
 const LONGEST_WAIT_MS = 8000;
@@ -12,6 +12,7 @@ export class FleetSocket extends EventTarget {
     this.newest = NaN;
     this.source = null;
     this.alarms = { total: 0, list: [] };
+    this.problem = "";
     this.isOpen = false;
     this.bytes = 0;
     this._views = {};
@@ -74,7 +75,7 @@ export class FleetSocket extends EventTarget {
         this.names.push(name);
       }
     }
-    for (const name of ["source", "alarms"]) {
+    for (const name of ["source", "alarms", "problem"]) {
       if (name in note) {
         this[name] = note[name];
         this.dispatchEvent(new Event(name));

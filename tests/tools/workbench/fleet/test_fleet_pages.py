@@ -268,6 +268,27 @@ def test_car_whose_shift_is_over_is_named_so_and_has_no_risk(browser):
     assert {alarm["car"] for alarm in list_alarms(board)["list"]} == {"taxi-0000", "taxi-0001"}
 
 
+def test_page_says_when_it_shows_what_is_old(browser, monkeypatch):
+    source, board = BoardSource(Board()), make_fleet_messages(3, 0.0, np.random.default_rng(7))
+    source.board.take(board)
+    state = source.describe()
+    monkeypatch.setattr(source, "describe", lambda: state)
+    with serve(Workbench(Workspace(), Jobs(), fleet=source)) as server:
+        visit = Visit(browser, server)
+        live, banner = visit.page.get_by_text("Live", exact=True), visit.page.get_by_role("alert")
+        live.wait_for()
+        assert banner.count() == 0
+        state = state | {"problem": "no router at E", "refused": {"too_large": 2}}
+        expect(banner).to_have_text("What is shown is old: no router at E")
+        expect(live).to_be_hidden()
+        visit.page.get_by_text("2 too large").wait_for()
+        state = state | {"problem": ""}
+        expect(banner).to_have_count(0)
+        expect(live).to_be_visible()
+        visit.close()
+    assert (visit.strangers, visit.errors) == ([], [])
+
+
 def test_page_of_another_origin_reaches_nothing(browser, server):
     reached = browser.new_context()
     page = reached.new_page()

@@ -166,7 +166,7 @@ def test_forecast_with_impossible_counts_is_left_out(count):
     forged = good._replace(payload=good.payload.replace(b'"repaired_time":1', b'"repaired_time":%d' % count))
     assert forged != good
     board.take([forged, forecast("b", 0.0)])
-    assert (board.vehicle_ids, board.counts) == (["b"], {"forecast": 1, "undecodable": 1})
+    assert (board.vehicle_ids, board.counts) == (["b"], {"forecast": 1, "impossible": 1})
 
 
 @pytest.mark.parametrize("field", ["time_s", "ride_distance_km", "soc_pct", "reserve_risk"])
