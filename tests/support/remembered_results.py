@@ -23,7 +23,7 @@ def diagnosing_once() -> Iterator[None]:
 
     A diagnosis is reproducible: `tests/core/diagnose` tests it.
     """
-    from socast.core.diagnose import diagnosis  # noqa: PLC0415 - boosted trees take a second to import
+    from socast.core.diagnose import diagnosis  # noqa: PLC0415 - it takes a second to import
 
     diagnose, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
     with pytest.MonkeyPatch.context() as patch:

@@ -273,7 +273,7 @@ def _diagnose(
     dated: bool = True,
 ) -> Diagnosis:
     """Return the diagnosis of tables."""
-    from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
+    from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - it takes a second to import
 
     with show_elapsed("diagnosing"):
         return diagnose(

@@ -26,7 +26,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "cluster": 1,
     "compare": 2,
     "demo": 1,
-    "diagnose": 5,
+    "diagnose": 6,
     "effect": 1,
     "effects": 1,
     "elevation": 1,

@@ -176,7 +176,7 @@ class Workspace:
 
     def diagnose(self, node: ModelNode, report: Report = lambda *_: None) -> Diagnosis:
         """Return the diagnosis of a model, which is made once for each model and table."""
-        from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
+        from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - it takes a second to import
 
         if (known := self.find_diagnosis(node)) is not None:
             return known

@@ -1,4 +1,4 @@
-"""Define the parts of free-form terms: carriers of energy, and variables that may modulate them.
+"""Define the parts of forms outside the library: carriers of energy, and variables that may modulate them.
 
 A carrier is a power whose energy per unit of a coefficient is in the window table: constant, rolling, drag,
 accelerating, braking, climbing, descending, and an energy at each stop. A variable is a property of a window that an

@@ -1,4 +1,4 @@
-"""Write a free-form term as text: its formula, its unit, and a source file to edit."""
+"""Write a form outside the library as text: its formula, its unit, and a source file to edit."""
 
 from typing import Final, NamedTuple
 

@@ -8,7 +8,7 @@ from socast.core.errors import EffectError
 
 
 def suggestion(**changes):
-    """A free-form term, as text of a file."""
+    """A form outside the library, as text of a file."""
     return render_source(
         **{
             "name": "suggested",

@@ -1,4 +1,4 @@
-"""Templates of effect files pass their check, including the template of a free-form term found in data."""
+"""Templates of effect files pass their check, including that of a form found in data."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from socast.tools.terminal.effect_template import blank
 
 
 def suggestion(**changes):
-    """A free-form term, as text of a file."""
+    """A form outside the library, as text of a file."""
     return render_source(
         **{
             "name": "suggested",
