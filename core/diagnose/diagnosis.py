@@ -161,7 +161,7 @@ def _diagnose(
         list_groups(seen, columns, groups or {}),
         events,
         scopes=places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES,
-        forms=FormSearch(seen.table, float(np.abs(seen.measured).sum())),
+        forms=FormSearch(seen),
         seed=seed,
         report=lambda done: report(0.3 + 0.5 * done, "weighing the effects"),
     )

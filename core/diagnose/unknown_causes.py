@@ -82,8 +82,7 @@ def find_resembling(form: FreeTerm, energy: Floats, columns: WindowColumns) -> s
         load = next((load for signal, load in LOADS.items() if signal in arguments), "auxiliary")
         read = {CONDITIONS.get(each, each) for each in arguments if each not in MOTION}
         if load == form.carrier.name and read and read <= conditions:
-            found[name.partition(VARIANT)[0]] = max(
-                found.get(name, 0.0), compute_correlation(columns.effects[:, at], energy)
-            )
+            effect = name.partition(VARIANT)[0]
+            found[effect] = max(found.get(effect, 0.0), compute_correlation(columns.effects[:, at], energy))
     best = max(found, key=lambda name: found[name], default=None)
     return best if best is not None and found[best] > LIKE else None

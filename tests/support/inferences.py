@@ -26,7 +26,7 @@ def infer(
     windows, model = gather_with_model(tables)
     columns = gather_window_columns(windows, model, without)
     inside = [effects.get(name).base for name in model.effects]
-    forms = FormSearch(windows.table, float(windows.measured.sum()))
+    forms = FormSearch(windows)
     with threadpool_limits(1):
         found = infer_missing(columns, inside, list_groups(windows, columns, groups or {}), scopes=scopes, forms=forms)
     return windows, model, found

@@ -18,6 +18,7 @@ from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.deviations import list_credible
 from socast.core.diagnose.error_steps import compute_held_out_errors
+from socast.core.diagnose.inference.forms import FormSearch
 from socast.core.diagnose.inference.posterior import Inference, LikelyCause, infer_missing
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.projection import BaseProjection
@@ -86,7 +87,7 @@ def study_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> Study:
     with threadpool_limits(1):
         model = fit_to_windows(RECIPE, rides, windows, covariance=False)
         seen = gather_windows(rides, windows, model)
-        inference = infer_missing(gather_window_columns(seen, model))
+        inference = infer_missing(gather_window_columns(seen, model), forms=FormSearch(seen))
         clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
         selection = select_missing(BaseProjection(seen, model), inference, clusters)
     scoped = tuple(each for each in inference.findings if each.is_likely and each.family.is_scoped)

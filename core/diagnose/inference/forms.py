@@ -13,10 +13,10 @@ from math import log, prod
 from typing import Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import solve_triangular
 
 from socast.core.batch import Floats
+from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FreeTerm, list_modulators
@@ -49,14 +49,12 @@ class FormSearch:
 
     Parameters
     ----------
-    table : pandas.DataFrame
-        Window table.
-    measured : float
-        Energy of all windows. [kWh]
+    windows : Windows
+        Windows whose table has the energies of the loads.
     """
 
-    def __init__(self, table: pd.DataFrame, measured: float) -> None:
-        self._measured = measured
+    def __init__(self, windows: Windows) -> None:
+        table, self._measured = windows.table, float(np.abs(windows.measured).sum())
         values = {variable.name: variable.value(table) for variable in VARIABLES}
         self._modulators = {each.name: list(list_modulators(each, values[each.name])) for each in VARIABLES}
         self._values = {

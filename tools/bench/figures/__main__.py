@@ -29,6 +29,8 @@ class Measurement(NamedTuple):
 
 
 _BENCH: Final = "socast.tools.bench"
+REAL_FOLDERS: Final = 3
+"""Number of folders of drives that the measurement of real cars takes."""
 MEASUREMENTS: Final = {
     "evaluation": Measurement(5, (f"{_BENCH}.figures.evaluation", "--keep", "build/evaluation")),
     "soc-forecasts": Measurement(15, (f"{_BENCH}.figures.soc_forecasts", "--keep", "build/soc")),
@@ -53,6 +55,7 @@ MEASUREMENTS: Final = {
     "elevation": Measurement(
         15, (f"{_BENCH}.elevation", "--publish", "5001", "5002", "5003", "--json", "build/elevation.json")
     ),
+    "real-cars": Measurement(15, (f"{_BENCH}.real_cars", "--publish", "--keep", "build/real")),
     "league": Measurement(5, (f"{_BENCH}.league", "--publish", "--drives", "10000")),
     "speed": Measurement(10, (_BENCH,)),
 }
@@ -66,7 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--render", action="store_true", help="measure nothing, write the pages from what is kept")
     parser.add_argument("--ved", help="folder with the files of the Vehicle Energy Dataset, for real drives")
     parser.add_argument("--i3", help="folder with the drives of the BMW i3, for real drives")
+    parser.add_argument("--model3", help="folder with the drives of the Tesla Model 3, for real cars")
     given = parser.parse_args(arguments)
+    folders = [word for name in ("ved", "i3", "model3") if (path := vars(given)[name]) for word in (f"--{name}", path)]
     names = [] if given.render else [name for name in given.only.replace(" ", ",").split(",") if name]
     if unknown := sorted(set(names) - set(MEASUREMENTS)):
         print(f"{unknown[0]} is no measurement; choose from {', '.join(MEASUREMENTS)}", file=sys.stderr)
@@ -74,7 +79,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console, failed = Console(), []
     for name in names:
         measurement = MEASUREMENTS[name]
-        real = ["--ved", given.ved, "--i3", given.i3] if name == "evaluation" and given.ved and given.i3 else []
+        if name == "real-cars" and len(folders) < 2 * REAL_FOLDERS:
+            console.print("real-cars: left out; it takes --ved, --i3 and --model3", highlight=False)
+            continue
+        real = folders if name == "real-cars" else []
+        real = folders[:4] if name == "evaluation" and given.ved and given.i3 else real
         console.print(f"{name}: about {measurement.minutes} min", highlight=False)
         began = time.monotonic()
         words = [sys.executable, "-m", *measurement.words, *real]

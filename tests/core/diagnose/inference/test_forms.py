@@ -59,7 +59,7 @@ def test_without_a_cause_no_form_is_likely():
 
 def test_search_keeps_few_forms_of_the_same_kind_that_act_on_many_dates():
     windows, model = gather_with_model(make_tables(make_windows(), unknown=make_unknown("crowded")))
-    search = FormSearch(windows.table, float(windows.measured.sum()))
+    search = FormSearch(windows)
     once = search.extend(WindowModel(gather_window_columns(windows, model)))
     columns = once.columns
     assert 0 < len(columns.unknown) <= KEPT

@@ -1,0 +1,281 @@
+"""Measure models and diagnosis on three real cars, and publish the page "Real cars".
+
+The drives are fetched by whoever measures: `docs/real-cars.md` says from where. Nothing of them is kept in the project.
+
+Example: python -m socast.tools.bench.real_cars --ved ved/ --i3 i3/ --model3 model3/ --keep build/real --publish
+"""
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from socast.core.batch import Floats, Ints
+from socast.core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY
+from socast.core.fit.recipes import RECIPES, fit_to_windows
+from socast.core.models import ANY, LinearModel
+from socast.core.stats.splits import deal_folds
+from socast.tools.bench.figures.evaluation import run_once
+from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.spikein.choice import ScoreChoice
+from socast.tools.spikein.records import SpikeScore, SpikeScores
+from socast.tools.spikein.score import score_spikes
+
+RECIPE: Final = "road_load_full_constant"
+"""Recipe that `socast.fit_model` uses by default where no curve of the accessories is known."""
+FOLDS: Final = 18
+"""Largest number of parts of the dates."""
+DRAWS: Final = 20
+"""Number of times that some drives are drawn to fit to."""
+FEW: Final = (6, 40)
+"""Numbers of drives to fit to."""
+SPACE: Final = pd.Timedelta(minutes=2)
+"""Least time between two drives of the Model 3, some of whose clocks overlap."""
+SIZES: Final = (0.03, 0.05)
+"""Energies of the effects that are put in. [1]"""
+WHEELS: Final = 1.099
+"""Energy at the battery over that at the wheels of the Model 3, by its dynamometer. [1]"""
+DYNAMOMETER: Final = {"A": 179.4, "C": 0.0235, "mass": 1919.0}
+"""Constant and quadratic road load [N, N/(km/h)^2] and mass [kg] of the Model 3, DOI 10.1016/j.patter.2024.100950."""
+MODEL3: Final = """[model3]
+mass_kg = 1745
+nominal_capacity_kwh = 60
+drag_area_m2 = 0.51
+"""
+MAP: Final = """[vehicle]
+name = "model3"
+model = "model3"
+
+[time]
+column = "time"
+zone = "Asia/Shanghai"
+
+[fields]
+latitude_deg = { column = "latitude_deg", unit = "deg" }
+longitude_deg = { column = "longitude_deg", unit = "deg" }
+elevation_m = { column = "elevation_m", unit = "m" }
+speed_kmh = { column = "speed_kmh", unit = "km/h" }
+battery_voltage_v = { column = "voltage_v", unit = "V" }
+battery_current_a = { column = "current_a", unit = "A", sign = -1 }
+ambient_c = { column = "ambient_c", unit = "degC" }
+"""
+
+
+class Car(NamedTuple):
+    """Hold the recording of a car, and its rides that are fit for training with their windows."""
+
+    name: str
+    recording: Path
+    rides: pd.DataFrame
+    windows: pd.DataFrame
+
+    def fit(self, rows: Ints) -> LinearModel:
+        """Return a model of some rides."""
+        return fit_to_windows(RECIPE, self.rides.iloc[rows], self.windows, covariance=False)
+
+    def predict(self, fitted: Ints, rows: Ints) -> Floats:
+        """Return the errors of some rides by a model of others. [kWh]"""
+        held_out = self.rides.iloc[rows]
+        return self.fit(fitted).predict_energy(held_out) - held_out["energy_kwh"].to_numpy(dtype=np.float64)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print, and publish if asked to."""
+    parser = argparse.ArgumentParser("real_cars", description=(__doc__ or "").splitlines()[0])
+    for name, what in (("ved", "the Vehicle Energy Dataset"), ("i3", "the BMW i3"), ("model3", "the Tesla Model 3")):
+        parser.add_argument(f"--{name}", type=Path, required=True, help=f"folder with the files of {what}")
+    parser.add_argument("--keep", type=Path, required=True, help="folder for recordings and tables; used again")
+    parser.add_argument("--publish", action="store_true", help="write the figures into the pages")
+    given = parser.parse_args(arguments)
+    given.keep.mkdir(parents=True, exist_ok=True)
+    with threadpool_limits(1):
+        cars = list(import_cars(given.keep, given.ved, given.i3, given.model3))
+        lines = [*list_errors(cars), "", *list_coefficients(cars[-1])]
+    lines += ["", *list_spikes(cars)]
+    print("\n".join(lines))
+    if given.publish:
+        words = "--ved ved/ --i3 i3/ --model3 model3/ --keep build/real --publish"
+        publish("real-cars", f"python -m socast.tools.bench.real_cars {words}", lines)
+
+
+def import_cars(keep: Path, ved: Path, i3: Path, model3: Path) -> Iterator[Car]:
+    """Yield the three cars, the Model 3 last."""
+    sheet, mapping, joined = keep / "sheet.toml", keep / "map.toml", keep / "model3.csv"
+    sheet.write_text(MODEL3, encoding="utf-8")
+    mapping.write_text(MAP, encoding="utf-8")
+    join_drives(sorted(model3.glob("road/*.csv*"))).to_csv(joined, index=False)
+    for name, words in (
+        ("Nissan Leaf 2013", ("ved", ved, "--vehicle", 455)),
+        ("BMW i3 2014", ("bmw-i3", i3)),
+        ("Tesla Model 3", ("csv", joined, "--map", mapping, "--vehicles", sheet)),
+    ):
+        recording, tables = keep / f"{words[0]}.mcap", keep / words[0]
+        run_once(recording, "import", *words, "--out", recording)
+        run_once(tables, "tables", recording, "--out", tables)
+        rides = pd.read_parquet(tables / "rides.parquet")
+        rides = rides[rides["fit_for_training"] & rides["energy_kwh"].notna()].reset_index(drop=True)
+        yield Car(name, recording, rides, pd.read_parquet(tables / "windows.parquet"))
+
+
+def join_drives(files: Sequence[Path]) -> pd.DataFrame:
+    """Return the road drives of the Model 3 in one table: in the order of its counter of energy, without overlap."""
+    drives = [pd.read_csv(file) for file in files]
+    drives.sort(key=lambda drive: (drive["discharged_kwh"].iloc[0], drive["time"].iloc[0]))
+    last: pd.Timestamp | None = None
+    for drive in drives:
+        begin = pd.Timestamp(drive["time"].iloc[0])
+        begin = begin if last is None else max(begin, last + SPACE)
+        stamp = begin + pd.to_timedelta(drive["time_s"] - drive["time_s"].iloc[0], unit="s")
+        last = stamp.iloc[-1]
+        drive["time"] = stamp.dt.strftime("%Y-%m-%dT%H:%M:%S")
+    return pd.concat(drives).drop(columns=["time_s", "gear", "charged_kwh", "discharged_kwh"])
+
+
+def list_errors(cars: Sequence[Car]) -> list[str]:
+    """Return the table of errors."""
+    rows = []
+    for car in cars:
+        used = car.rides["energy_kwh"].to_numpy(dtype=np.float64)
+        dates, date = np.unique(car.rides["date"].to_numpy(dtype=str), return_inverse=True)
+        fold = deal_folds(len(dates), FOLDS, 0)[date]
+        error = np.zeros(len(used))
+        for part in range(int(fold.max()) + 1):
+            error[fold == part] = car.predict(np.flatnonzero(fold != part), np.flatnonzero(fold == part))
+        few = [f"{100.0 * _measure_few(car, count):.1f} %" for count in FEW if count < len(used) - 10]
+        rows.append(
+            [
+                car.name,
+                f"{len(used)}",
+                f"{car.rides['distance_km'].sum():,.0f}",
+                f"{len(dates)}",
+                f"{np.mean(np.abs(error)):.3f}",
+                f"{100.0 * np.mean(np.abs(error) / np.abs(used)):.1f} %",
+                f"{100.0 * np.abs(error).sum() / np.abs(used).sum():.1f} %",
+                *(few + ["too few drives"] * len(FEW))[: len(FEW)],
+            ]
+        )
+    heads = [
+        "car",
+        "drives",
+        "km",
+        "dates",
+        "MAE, kWh",
+        "MAPE",
+        "wMAPE",
+        *(f"MAPE from {count} drives" for count in FEW),
+    ]
+    note = (
+        f"Models of the recipe `{RECIPE}`. MAE, MAPE and wMAPE: each date held out in turn, or one of {FOLDS} parts of "
+        f"the dates. The last columns: fitted to some drives, evaluated on all others, mean of {DRAWS} draws."
+    )
+    return [*write_table(heads, rows), "", note]
+
+
+def _measure_few(car: Car, count: int) -> float:
+    """Return the mean absolute percentage error of drives by models of few others. [1]"""
+    used = np.abs(car.rides["energy_kwh"].to_numpy(dtype=np.float64))
+    errors = []
+    for draw in range(DRAWS):
+        order = np.random.default_rng(draw).permutation(len(used))
+        fitted, rest = np.sort(order[:count]), np.sort(order[count:])
+        errors.append(float(np.mean(np.abs(car.predict(fitted, rest)) / used[rest])))
+    return float(np.mean(errors))
+
+
+def list_coefficients(car: Car) -> list[str]:
+    """Return the road load of the Model 3 from its road drives beside that of the dynamometer."""
+    model = RECIPES[RECIPE].fit(car.rides, car.windows)
+    fit, names = model.fits[ANY], [term.name for term in model.terms]
+    assert fit.covariance is not None  # the recipe computes it
+    mass = float((car.rides["effect_rolling"] * 3.6e3 / GRAVITY / car.rides["distance_km"]).median())
+    units = {
+        "A": ("rolling", "N", float(car.rides["rolling_resistance"].iloc[0]) * mass * GRAVITY),
+        "C": (
+            "aero_drag_wind",
+            "N/(km/h)²",
+            0.5 * STANDARD_AIR_DENSITY * float(car.rides["drag_area_m2"].iloc[0]) * KMH**2,
+        ),
+        "mass": ("inertia_positive", "kg", mass),
+    }
+    rows = []
+    for key, (name, unit, scale) in units.items():
+        at = names.index(name)
+        value = fit.coefficients[at] * scale / WHEELS
+        half = 1.645 * float(np.sqrt(np.asarray(fit.covariance)[at][at])) * scale / WHEELS
+        truth = DYNAMOMETER[key]
+        inside = "inside" if abs(value - truth) <= half else "outside"
+        rows.append([f"{key}, {unit}", f"{value:,.4g} ± {half:,.2g}", f"{truth:,g}", inside])
+    note = (
+        "Tesla Model 3: road load from its road drives, with 90 % intervals, and from the dynamometer. The tyres of "
+        f"its road drives are others. Energy at the battery counts {WHEELS} times that at the wheels."
+    )
+    return [note, "", *write_table(["coefficient", "road drives", "dynamometer", "dynamometer in the interval"], rows)]
+
+
+def list_spikes(cars: Sequence[Car]) -> list[str]:
+    """Return how many known effects the diagnosis names in each car, and what it names without them."""
+    effects = tuple(f"{name}{ending}" for name in EFFECTS for ending in ("", OTHER))
+    rows, placebos = [], []
+    for car in cars:
+        scores = score_spikes([car.recording], ScoreChoice(effects, SIZES))
+        shown = [one for one in scores.scores if one.visible and one.plausible]
+        rows.append(
+            [
+                car.name,
+                f"{len(scores.scores)}",
+                f"{len(shown)}",
+                _count(shown, lambda one: one.rank is not None),
+                _count(shown, lambda one: one.new_rank == 1),
+                _count(shown, lambda one: one.rank == 1),
+                _count([one for one in shown if one.covered is not None], lambda one: bool(one.covered)),
+            ]
+        )
+        placebos.append(f"- {car.name}: {_word_placebo(scores)}")
+    sizes = " and ".join(f"{100.0 * size:g} %" for size in SIZES)
+    heads = [
+        "car",
+        "put in",
+        "visible and plausible",
+        "named",
+        "first new name",
+        "first name",
+        "interval holds the truth",
+    ]
+    note = (
+        f"Known effects of {sizes} of the energy, put into the recordings by `socast spikein --score`, in all forms of "
+        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20."
+    )
+    return [
+        note,
+        "",
+        *write_table(heads, rows),
+        "",
+        "What the diagnosis names without an added effect:",
+        "",
+        *placebos,
+    ]
+
+
+def _count(scores: Sequence[SpikeScore], belongs: Callable[[SpikeScore], bool]) -> str:
+    """Return how many scores belong to a group, of all."""
+    return f"{sum(map(belongs, scores))} of {len(scores)}"
+
+
+def _word_placebo(scores: SpikeScores) -> str:
+    """Return the names of a diagnosis of the recording as it is."""
+    names = [
+        f"`{one.effect}`{'' if one.where == 'all cars' else f' ({one.where})'} {100.0 * one.probability:.0f} %"
+        f"{'' if one.coefficient.plausible else ', not plausible'}"
+        for one in scores.placebo
+    ]
+    return ", ".join(names) or "nothing"
+
+
+if __name__ == "__main__":
+    main()
