@@ -130,8 +130,8 @@ class _Server(ThreadingMixIn, TCPServer):
         """Answer a request, and free its place; what comes too slowly is cut off."""
         deadline = Timer(CLIENT_S, _end, [request])
         deadline.daemon = True
-        deadline.start()
         try:
+            deadline.start()
             super().process_request_thread(request, client_address)
         finally:
             deadline.cancel()

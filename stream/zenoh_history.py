@@ -190,10 +190,10 @@ class CacheHistory:
                 live += each.held
                 answers += each.answers
                 has_ended = everything or not each.queries or now - each.asked_s >= HOLD_S
-                each.held, each.answers = [], []
                 if has_ended or each.size > HOLD_BYTES_EACH or is_full:
-                    each.queries, each.size = [], 0
+                    each.queries = []
                     del self._asked[name]
+                each.held, each.answers, each.size = [], [], 0
         return live, answers
 
     def close(self) -> None:
@@ -226,6 +226,8 @@ class CacheHistory:
                     self._holding.setdefault(key, set()).add(name)
             else:
                 session.tokens.discard(text)
+                if not session.tokens:
+                    self._has_answered.discard(name)  # what it publishes while it is away is asked for when it returns
                 if self._is_client:
                     self._gone[text] = now + DOUBT_S
 

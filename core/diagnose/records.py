@@ -330,6 +330,7 @@ class UnknownCause(Record, frozen=True):
     forms: Annotated[
         dict[str, float], declare("Forms that fit the same -> share of the probability, the largest first. [1]")
     ] = {}
+    symbols: Annotated[dict[str, str], declare("Symbols of the formula -> their meanings.")] = {}
     file: Annotated[str, declare("Source of an effect of this form.")] = ""
 
 

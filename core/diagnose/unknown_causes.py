@@ -8,7 +8,7 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file
+from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file, list_symbols
 from socast.core.diagnose.forms.terms import FreeTerm
 from socast.core.diagnose.gains import compute_correlation
 from socast.core.diagnose.inference.posterior import Inference
@@ -67,6 +67,7 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
                 ),
                 resembles=find_resembling(one.form, one.column, inference.columns),
                 forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
+                symbols=list_symbols(one.form),
                 file=format_source_file(one.form, size.value, len(seen.measured)),
             )
         )

@@ -182,6 +182,7 @@ def make_unknown_cause(**changes: Any) -> UnknownCause:
     return _convert({
         "formula": "P = c · d · r", "probability": 0.97, "energy_share": 0.024, "energy_share_ci95": [0.01, 0.038],
         "coefficient": {"value": 3.1e8, "ci95": [1.3e8, 4.9e8], "unit": "W/(m/s)"},
+        "symbols": {"d": "darkness", "r": "rain or melted snow that falls in a time"},
         "forms": {"P = c · d · r": 0.7, "P = c · d² · r": 0.25},
         "file": '"""An effect of your own."""\n',
     } | changes, UnknownCause)  # fmt: skip

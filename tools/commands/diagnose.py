@@ -303,11 +303,13 @@ def _auto(
 
     final = select_final_days(model.history, get_names(rides, "date"))
     rows = join_tables(rides, windows)
+    tried: set[str] = set()
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final, dated=dated)
-        page.print_step(result, step, console)
-        entry = find_addable(result)
+        entry = find_addable(result, tried)
+        page.print_step(result, step, entry, console)
         if entry is None:
+            page.print_lines(["The loop ends here: no further effect lowers the error beyond doubt."], console)
             break
         name, scope = parse_term(entry)
         try:
@@ -325,8 +327,8 @@ def _auto(
         history.print_trial(added.trial, console)
         if not added.trial.accepted:
             model = add.log_attempt(model, added.trial)
-            page.print_lines(["The loop ends here: no error of held-out rides falls beyond doubt."], console)
-            break
+            tried.add(entry.effect)
+            continue
         model = added.model
     history.show(model, console)
     return model, result

@@ -230,7 +230,7 @@ def _describe_attempt(attempt: EffectAttempt) -> str:
     if attempt.action != ADDED:
         return f"{attempt.name} was {attempt.action}: {attempt.reason}"
     doubt = "" if attempt.coefficient.plausible else " (not plausible)"
-    forced = f"; added by force, although {attempt.reason}" if attempt.forced else ""
+    forced = f"; added although {attempt.reason}" if attempt.forced else ""
     return f"{attempt.words or attempt.name}{doubt}{forced}"
 
 

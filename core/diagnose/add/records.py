@@ -127,7 +127,7 @@ class EffectAttempt(Record, frozen=True):
     @property
     def result(self) -> Annotated[str, declare("What was done.", "result")]:
         """Past participle of what was done with the effect."""
-        return "added by force" if self.forced else "added" if self.action == ADDED else self.action
+        return "added although not accepted" if self.forced else "added" if self.action == ADDED else self.action
 
     @property
     def scope(self) -> list[str]:

@@ -27,8 +27,8 @@ class Carrier(NamedTuple):
 
     Parameters
     ----------
-    symbol : str
-        Symbol in formulas; empty for a power of 1 W.
+    symbol, meaning : str
+        Symbol in formulas, empty for a power of 1 W, and meaning in text.
     unit : str
         Unit of the factor that makes it a power in watt, as pint spells it.
     code : str
@@ -37,6 +37,8 @@ class Carrier(NamedTuple):
         Energy per unit of the factor, of the window table. [kWh per unit]
     alike : str
         Effect of the library with the same shape without modulators.
+    without : tuple of str
+        Variables on which such a load cannot depend.
     """
 
     name: str
@@ -48,6 +50,8 @@ class Carrier(NamedTuple):
     parameters: Mapping[str, Parameter] = MappingProxyType({})
     alike: str = ""
     per: str = "distance"
+    meaning: str = ""
+    without: tuple[str, ...] = ()
 
 
 class Variable(NamedTuple):
@@ -132,6 +136,7 @@ CARRIERS: Final = (
         lambda table: _numbers(table, "effect_auxiliary"),
         alike="auxiliary",
         per="time",
+        without=("grade",),
     ),
     Carrier(
         "rolling",
@@ -141,6 +146,7 @@ CARRIERS: Final = (
         "tyre_load * speed",
         lambda table: _numbers(table, "effect_rolling"),
         alike="rolling",
+        meaning="weight times speed",
     ),
     Carrier(
         "drag",
@@ -151,6 +157,7 @@ CARRIERS: Final = (
         lambda table: _numbers(table, "effect_aero_drag"),
         _AIR,
         "aero_drag",
+        meaning="power of the air for each square metre, in still air",
     ),
     Carrier(
         "traction",
@@ -160,6 +167,7 @@ CARRIERS: Final = (
         "mass * np.maximum(acceleration, 0.0) * speed",
         lambda table: _numbers(table, "effect_inertia_positive"),
         alike="inertia_positive",
+        meaning="power of acceleration",
     ),
     Carrier(
         "braking",
@@ -169,6 +177,7 @@ CARRIERS: Final = (
         "mass * np.maximum(-acceleration, 0.0) * speed",
         lambda table: -_numbers(table, "effect_inertia_negative"),
         alike="inertia_negative",
+        meaning="power of deceleration",
     ),
     Carrier(
         "climbing",
@@ -179,6 +188,7 @@ CARRIERS: Final = (
         lambda table: _numbers(table, "effect_climbing_up"),
         _GRAVITY,
         "climbing_up",
+        meaning="power of a climb",
     ),
     Carrier(
         "descending",
@@ -189,6 +199,7 @@ CARRIERS: Final = (
         lambda table: -_numbers(table, "effect_climbing_down"),
         _GRAVITY,
         "climbing_down",
+        meaning="power of a descent",
     ),
     Carrier(
         "stopping",
@@ -199,6 +210,7 @@ CARRIERS: Final = (
         lambda table: _numbers(table, "stops") / 3.6e6,
         alike="door_heat_loss",
         per="time",
+        meaning="stops per second",
     ),
 )
 

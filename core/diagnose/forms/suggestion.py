@@ -38,6 +38,12 @@ def derive_unit(term: FreeTerm) -> str:
     return unit
 
 
+def list_symbols(term: FreeTerm) -> dict[str, str]:
+    """Return the symbols of the formula of a form with their meanings."""
+    of_load = {term.carrier.symbol: term.carrier.meaning} if term.carrier.symbol else {}
+    return {each.variable.symbol: each.variable.meaning for each in term.modulators} | of_load
+
+
 def name_term(term: FreeTerm) -> str:
     """Return the name of the effect of a term."""
     return "_and_".join([f"suggested_{term.carrier.name}", *sorted(term.variables)])

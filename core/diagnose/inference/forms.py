@@ -2,7 +2,7 @@
 
 Each form is weighed alone beside what a model knows, as an effect of the library is. The best forms are tried with a
 second and a third variable. All forms share the prior probability that something outside the library is missing: half
-of it belongs to those of one variable, half of the rest to those of two, and so on.
+of it belongs to those of at most one variable, a quarter to those of two, an eighth to those of three.
 """
 
 from collections import Counter
@@ -37,10 +37,9 @@ EXTENDED: Final = (6, 3)
 
 
 class _Weighed(NamedTuple):
-    """Hold forms, the energy of each per unit of its coefficient, (n, m), and its log odds against none."""
+    """Hold forms, and the log odds of each against none."""
 
     forms: list[UnknownForm]
-    energy: Floats
     odds: Floats
 
 
@@ -64,10 +63,9 @@ class FormSearch:
         }
         self._carriers = {carrier.name: carrier.energy(table) for carrier in CARRIERS}
         sizes = [len(each) for each in self._modulators.values()]
-        numbers = [sum(map(prod, combinations(sizes, of))) for of in range(len(EXTENDED) + 2)]
-        self._log_share = [
-            log(0.5 ** max(of, 1) / (len(CARRIERS) * max(number, 1))) for of, number in enumerate(numbers)
-        ]
+        numbers = [1 + sum(sizes), *(sum(map(prod, combinations(sizes, of))) for of in range(2, len(EXTENDED) + 2))]
+        shares = [log(0.5 ** (at + 1) / (len(CARRIERS) * max(number, 1))) for at, number in enumerate(numbers)]
+        self._log_share = [shares[0], *shares]  # by the number of variables
 
     def extend(self, model: WindowModel) -> WindowModel:
         """Return the model with the best forms beside what it knows among the columns that may be missing."""
@@ -75,40 +73,46 @@ class FormSearch:
         found = [self._weigh(model, FreeTerm(carrier)) for carrier in CARRIERS]
         for variables, extended in enumerate(EXTENDED, 1):
             heads: dict[tuple[str, frozenset[str]], FreeTerm] = {}
-            for form, _, _ in _rank(found):
+            for form in _rank(found):
                 if len(form.term.modulators) == variables and len(heads) < extended:
                     heads.setdefault((form.term.carrier.name, form.term.variables), form.term)
             found += [self._weigh(model, head) for head in heads.values()]
         known = {format_formula(form.term) for form in columns.unknown}
         alike: Counter[tuple[str, frozenset[str]]] = Counter()
         chosen = []
-        for form, energy, _ in _rank(found):
+        for form in _rank(found):
             key = form.term.carrier.name, form.term.variables
             if alike[key] < ALIKE and alike.total() < KEPT:
                 alike[key] += 1
-                chosen += [(form, energy)] if format_formula(form.term) not in known else []
+                chosen += [form] if format_formula(form.term) not in known else []
+        energies = [self._build_energy(form.term) for form in chosen]
         return model.replace_columns(
             replace(
                 columns,
-                effects=np.column_stack([columns.effects, *(energy for _, energy in chosen)]),
-                unknown=(*columns.unknown, *(form for form, _ in chosen)),
+                effects=np.column_stack([columns.effects, *energies]),
+                unknown=(*columns.unknown, *chosen),
             )
         )
 
+    def _build_energy(self, term: FreeTerm) -> Floats:
+        """Return the energy of a form in each window, per unit of its coefficient. [kWh]"""
+        energy = self._carriers[term.carrier.name]
+        for each in term.modulators:
+            energy = energy * self._values[each]
+        return energy
+
     def _weigh(self, model: WindowModel, head: FreeTerm) -> _Weighed:
         """Return a form without variables and those with one variable more, or only these if it has a variable."""
-        column = self._carriers[head.carrier.name]
-        for each in head.modulators:
-            column = column * self._values[each]
+        column = self._build_energy(head)
         longer = [
             FreeTerm(head.carrier, (*head.modulators, each))
             for name, modulators in self._modulators.items()
             for each in modulators
-            if name not in head.variables
+            if name not in head.variables and name not in head.carrier.without
         ]
         terms = longer if head.modulators else [head, *longer]
         if not terms:
-            return _Weighed([], np.empty((len(column), 0)), np.empty(0))
+            return _Weighed([], np.empty(0))
         factors = [self._values[each.modulators[-1]] if each is not head else 1.0 for each in terms]
         energy = np.column_stack([column * factor for factor in factors])
         size = SHARE * self._measured / np.maximum(np.abs(energy).sum(axis=0), 1e-300)
@@ -116,12 +120,12 @@ class FormSearch:
             UnknownForm(term, one, self._log_share[len(term.modulators)])
             for term, one in zip(terms, size.tolist(), strict=True)
         ]
-        odds = _weigh(model, energy * size) + np.array([form.log_share for form in forms])
+        odds = _compute_evidence(model, energy * size) + np.array([form.log_share for form in forms])
         dates = count_dates(np.abs(energy).T, model.columns.date_of_day[model.columns.day])
-        return _Weighed(forms, energy, np.where(dates < LEAST_DATES, -np.inf, odds))
+        return _Weighed(forms, np.where(dates < LEAST_DATES, -np.inf, odds))
 
 
-def _weigh(model: WindowModel, energy: Floats) -> Floats:
+def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
     """Return the log evidence of each form alone; minus infinity where a free base could explain it."""
     size = model.size
     raw, beside = model.multiply(energy)
@@ -134,12 +138,12 @@ def _weigh(model: WindowModel, energy: Floats) -> Floats:
     return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, positive=False), -np.inf)
 
 
-def _rank(found: Sequence[_Weighed]) -> list[tuple[UnknownForm, Floats, float]]:
-    """Return the forms that are identifiable with their energies and log odds, the most probable first."""
+def _rank(found: Sequence[_Weighed]) -> list[UnknownForm]:
+    """Return the forms that are identifiable, the most probable first."""
     rows = [
-        (form, weighed.energy[:, at], odds)
+        (odds, form)
         for weighed in found
-        for at, (form, odds) in enumerate(zip(weighed.forms, weighed.odds.tolist(), strict=True))
+        for form, odds in zip(weighed.forms, weighed.odds.tolist(), strict=True)
         if np.isfinite(odds)
     ]
-    return sorted(rows, key=lambda row: -row[2])
+    return [form for _, form in sorted(rows, key=lambda row: -row[0])]

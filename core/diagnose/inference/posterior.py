@@ -86,7 +86,8 @@ class LikelyCause:
     probability : float
         That one of the family is true, whatever else is. [1]
     evidence : float
-        Logarithm of the Bayes factor of the best alternative against none. [1]
+        Logarithm of the Bayes factor of the best alternative against none, over the spread between dates of its size,
+        so that a few dates do not decide. [1]
     variant : str
         Effect, or its variant, of the best alternative; the formula of a form outside the library.
     size : Size
@@ -241,14 +242,14 @@ def infer_missing(
     assert given is not None  # there are several rounds
     assert first is not None
     examiner = _Examiner(model, families, given, chances, best | together, together)
-    ranked = sorted(best, key=lambda number: -of_family[number])
+    ranked = sorted(examiner.best, key=lambda number: (number not in examiner.together, -of_family[number]))
     findings = []
     for done, number in enumerate(ranked[:MOST]):
-        if of_family[number] > LEAST:
+        if of_family[number] > LEAST or number in examiner.together:
             findings.append(examiner.examine(number, of_family[number]))
         report(0.6 + 0.4 * (done + 1) / min(len(ranked), MOST))
     numbers = {id(family): number for number, family in enumerate(families)}
-    likely = [best[numbers[id(one.family)]] for one in findings if one.is_likely]
+    likely = [examiner.best[numbers[id(one.family)]] for one in findings if one.is_likely]
     final = examiner.get_model(likely)
     names = columns.names
     everywhere = {family.who: number for number, family in enumerate(library) if not family.is_scoped}
@@ -298,7 +299,7 @@ class _Examiner:
     ) -> None:
         self.model, self.families, self.given, self.chances, self.best = model, families, given, chances, best
         self._models: dict[tuple[int, ...], WindowModel] = {}
-        self._together = dict(together)
+        self.together = dict(together)
         for number in together:
             self._prefer_best(number)
 
@@ -314,7 +315,7 @@ class _Examiner:
         """Return the odds and the size of the best alternative of a family beside the other likely ones."""
         given, family, at = self.given, self.families[number], self.best[number]
         columns = self.model.columns
-        others = [row for other, row in self._together.items() if other != number]
+        others = [row for other, row in self.together.items() if other != number]
         without = self.get_model(others)
         both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
         size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
@@ -345,13 +346,13 @@ class _Examiner:
 
     def _prefer_best(self, number: int) -> None:
         """Replace a family of what is true together by the one that is more probable in its place."""
-        others = [at for other, at in self._together.items() if other != number]
+        others = [at for other, at in self.together.items() if other != number]
         rows, chances = self._weigh_in_place(number, others)
         family = int(np.argmax(np.bincount(self.given.family[rows], chances)))
         best = int(rows[int(np.argmax(np.where(self.given.family[rows] == family, chances, -1.0)))])
         if family != number and not self.families[number].is_scoped:
-            del self._together[number]
-            self._together[family] = self.best[family] = best
+            del self.together[number]
+            self.together[family] = self.best[family] = best
 
     def _weigh_in_place(self, number: int, others: list[int]) -> tuple[Ints, Floats]:
         """Return what could take the place of a family beside the others, and the probability of each."""

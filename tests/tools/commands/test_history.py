@@ -91,7 +91,7 @@ def test_history_shows_every_attempt_in_order(model):
         "0.3100",
     ]
     words = " ".join(text.split())
-    assert "added by force" in words
+    assert "added although not accepted" in words
     assert "Added: cold_rolling, headwind (vehicle=taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in words
     assert "measurement noise alone 0.2 kWh" in words
 

@@ -123,7 +123,7 @@ def test_interval_that_contains_zero_is_given_by_its_ends():
 
 def test_step_of_the_automatic_loop_states_the_change_that_it_adds():
     console = Console(width=200, file=StringIO())
-    print_step(make_change(), 1, console)
+    print_step(make_change(), 1, make_change().deviations[0], console)
     assert "Finding: taxi-005 uses 4.1 ± 0.9 % more" in console.file.getvalue()
 
 

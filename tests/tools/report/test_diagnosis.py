@@ -283,8 +283,9 @@ def test_bins_that_compare_marks_are_named_where_no_group_differs():
 
 
 def test_one_form_outside_the_library_is_certain():
-    (line,) = sentences.describe_unknown(make_unknown_cause(forms={"P = c · d · r": 1.0}))
+    line, symbols = sentences.describe_unknown(make_unknown_cause(forms={"P = c · d · r": 1.0}))
     assert line.startswith("Something outside the library is missing (probability 97 %)")
+    assert symbols == "With d: darkness; r: rain or melted snow that falls in a time."
 
 
 def test_noise_above_the_error_is_called_overestimated():

@@ -12,8 +12,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from socast.core.diagnose.leading import find_addable
-from socast.core.diagnose.records import CarDeviation, Diagnosis
+from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
 from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
 from socast.tools.report.diagnosis.cause_figures import draw_causes
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations
@@ -80,11 +79,10 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
     print_lines(sentences.describe_next_step(result), console, strong=True)
 
 
-def print_step(result: Diagnosis, step: int, console: Console) -> None:
-    """Print the result of one step of the automatic loop in a few lines."""
+def print_step(result: Diagnosis, step: int, first: NamedEffect | CarDeviation | None, console: Console) -> None:
+    """Print the result of one step of the automatic loop, and what it adds, in a few lines."""
     print_heading(f"Step {step}", console)
     print_lines(episodes.describe_leading_episode(result), console)
-    first = find_addable(result)
     if first is None or isinstance(first, CarDeviation):
         lines = ["No further effect is missing."] if first is None else deviations.describe_finding(first)
         print_lines(lines, console)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation, name_deviating
 from socast.core.diagnose.gains import LEAST_GAIN
-from socast.core.diagnose.leading import find_leading
+from socast.core.diagnose.leading import find_first_addition, find_leading
 from socast.core.diagnose.records import (
     NONE,
     UNKNOWN,
@@ -227,6 +227,8 @@ def describe_verdict(result: Diagnosis) -> list[str]:
     common = [_describe_named(one, result) for one in _list_named(result)[:MOST_NAMED]] or _describe_none(result)
     if (more := len(_list_named(result)) - MOST_NAMED) > 0:
         common.append(f"{more} more: see Missing effects.")
+    if result.unknown:
+        common.append(f"{_plural(len(result.unknown), 'cause')} outside the library: see Remaining error.")
     episode = describe_leading_episode(result)
     leads = found is not None and find_leading(result) is found
     return [*episode, *finding, *common] if leads else [*episode, *common, *finding]
@@ -361,10 +363,16 @@ def describe_unknown(one: UnknownCause) -> list[str]:
         f"c = {format_digits(one.coefficient.value)}{unit}"
         f"{f'. It resembles {one.resembles}, but no form of it fits as well' if one.resembles else ''}."
     )
+    symbols = "; ".join(f"{symbol}: {meaning}" for symbol, meaning in one.symbols.items())
+    lines = [line, *([f"With {symbols}."] if symbols else [])]
     others = [f"{formula} ({format_percent(share, 0)})" for formula, share in list(one.forms.items())[:MOST_CAUSES]]
-    if len(others) < 2:
-        return [line]
-    return [line, f"Its form is uncertain; these data prefer: {'; '.join(others)}."]
+    if len(others) > 1:
+        lines.append(f"Its form is uncertain; these data prefer: {'; '.join(others)}.")
+    if "sin θ" in one.formula:
+        lines.append(
+            "It belongs to climbs and descents, where errors of the elevation look like this: check them first."
+        )
+    return lines
 
 
 def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]:
@@ -374,17 +382,18 @@ def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]
     where = (
         f"{file} contains it as an effect to edit. Check it with: socast effects check {file}"
         if file
-        else "To edit it, write it to a file with --suggest FILE.py"
+        else "To edit the form, write it to a file with --suggest FILE.py"
     )
     if (first := find_leading(result)) is not None:
-        where = f"Add {first.effect} first, and see whether it is still there. {where}"
+        effect = find_recommended(result) or first.effect
+        where = f"Add {effect} first, and see whether the cause outside the library is still there. {where}"
     return [where]
 
 
 def find_recommended(result: Diagnosis) -> str | None:
     """Return the effect to add in all cars first; None where nothing is missing in them, or a deviation comes first."""
-    first = find_leading(result)
-    return first.effect if isinstance(first, NamedEffect) else None
+    addition = find_first_addition(result)
+    return addition.effect if addition and isinstance(find_leading(result), NamedEffect) else None
 
 
 def describe_next_step(result: Diagnosis) -> list[str]:
@@ -394,12 +403,12 @@ def describe_next_step(result: Diagnosis) -> list[str]:
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
     """Return what to do about missing effects and deviations, in the order of the headline, with their commands."""
-    first, found = result.leading, find_leading_deviation(result.deviations)
+    first, found = find_first_addition(result), find_leading_deviation(result.deviations)
     leading = find_leading(result)
     if leading is None:
         return [_advise_without_effect(result)]
     steps = [_advise_adding(first) if first else [], advise_test(found) if found else []]
-    before, after = steps if leading is first else reversed(steps)
+    before, after = steps if isinstance(leading, NamedEffect) else reversed(steps)
     return [*before, f"Then {after[0][:1].lower()}{after[0][1:]}", *after[1:]] if after else before
 
 

@@ -189,7 +189,11 @@ class Board:
         """Take messages in their order; those of `REFUSED` are counted by cause and left out."""
         with self.lock:
             for are_samples, part in groupby(messages, holds_samples):
-                self._guard(self._take_telemetry if are_samples else self._take_others, list(part))
+                if are_samples:
+                    self._guard(self._take_telemetry, list(part))
+                else:  # one by one, so that none counts twice where one fails
+                    for message in part:
+                        self._guard(self._take_others, [message])
 
     def count_refused(self) -> dict[str, int]:
         """Return the number of messages that were left out, by cause."""

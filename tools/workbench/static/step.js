@@ -22,7 +22,7 @@ export function heldOut({ mae_before_kwh: before, mae_after_kwh: after }) {
 
 // What became of an effect that was tried, and the colour of it.
 export function outcomeOf({ action, outcome, forced }) {
-  if (action === "add") return forced ? [outcome === "undecided" ? "added, undecided" : "added by force", "warn"] : ["added", "good"];
+  if (action === "add") return forced ? [outcome === "undecided" ? "added, undecided" : "added although not accepted", "warn"] : ["added", "good"];
   return [action ?? outcome, "warn"];
 }
 
