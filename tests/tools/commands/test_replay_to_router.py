@@ -64,16 +64,15 @@ def test_replay_obeys_a_signal_while_a_subscriber_has_stalled(tmp_path):
     recording = tmp_path / "large.mcap"
     with replace_recording(recording) as sink:
         sink.put([Message("fleet/a/telemetry", b"x" * 20_000, START_NS + number) for number in range(4000)])
-    with RouterProcess() as router, router.join() as node:
-        with subscribing(router.endpoint) as reader:
-            reader.send_signal(signal.SIGSTOP)
-            with replaying(recording, "--connect", router.endpoint, "--speed", "max") as replay:
-                assert eventually(lambda: list(node.session.liveliness().get("fleet/a/telemetry/@adv/pub/**")))
-                assert eventually(lambda: rests(replay.pid))
-                assert replay.poll() is None, "it waits for the subscriber"
-                began = time.monotonic()
-                replay.terminate()
-                _, err = replay.communicate(timeout=20)
+    with RouterProcess() as router, router.join() as node, subscribing(router.endpoint) as reader:
+        reader.send_signal(signal.SIGSTOP)
+        with replaying(recording, "--connect", router.endpoint, "--speed", "max") as replay:
+            assert eventually(lambda: list(node.session.liveliness().get("fleet/a/telemetry/@adv/pub/**")))
+            assert eventually(lambda: rests(replay.pid))
+            assert replay.poll() is None, "it waits for the subscriber"
+            began = time.monotonic()
+            replay.terminate()
+            _, err = replay.communicate(timeout=20)
     assert time.monotonic() - began < 5.0
     assert err.count("stopped while nobody reads") == 1
     assert "Traceback" not in err

@@ -207,7 +207,8 @@ def test_probability_of_a_missing_effect_is_told_with_those_of_its_rivals():
 
 
 def test_headline_names_a_missing_effect_with_its_size():
-    (line,) = sentences.describe_verdict(make_diagnosis(missing=[make_missing_effect(**CERTAIN)], deviations=[]))
+    one = make_diagnosis(missing=[make_missing_effect(**CERTAIN)], deviations=[], unknown=[])
+    (line,) = sentences.describe_verdict(one)
     assert line.startswith("cold_rolling is missing in all cars (100 %). Cold tyres: rolling resistance grows by 1.1 ±")
     assert "plausible" not in line
 
@@ -219,7 +220,7 @@ def test_headline_of_one_car_does_not_speak_of_all_cars():
 
 def test_headline_names_all_that_would_explain_the_same_once():
     rival = make_missing_effect(effect="air_density", variant="", causes=RIVALS, probability=0.35)
-    result = make_diagnosis(missing=[make_missing_effect(causes=RIVALS), rival], deviations=[])
+    result = make_diagnosis(missing=[make_missing_effect(causes=RIVALS), rival], deviations=[], unknown=[])
     (line,) = sentences.describe_verdict(result)
     assert line.startswith(
         "cold_rolling or air_density is missing in all cars: these data do not tell them apart (cold_rolling 60 %, "
@@ -231,11 +232,13 @@ def test_headline_counts_effects_beyond_the_third():
     effects = ("cold_rolling", "headwind", "snow", "payload", "wet_road")
     missing = [make_missing_effect(**CERTAIN | {"effect": name, "credible_set": [name]}) for name in effects]
     lines = sentences.describe_verdict(make_diagnosis(missing=missing, deviations=[]))
-    assert [line.split()[0] for line in lines] == ["cold_rolling", "headwind", "snow", "2"]
+    assert [line.split()[0] for line in lines] == ["cold_rolling", "headwind", "snow", "2", "1"]
+    assert lines[-1] == "1 cause outside the library: see Remaining error."
 
 
 def test_headline_doubts_an_effect_of_implausible_size():
-    (line,) = sentences.describe_verdict(make_diagnosis(missing=[make_implausible(**CERTAIN)], deviations=[]))
+    one = make_diagnosis(missing=[make_implausible(**CERTAIN)], deviations=[], unknown=[])
+    (line,) = sentences.describe_verdict(one)
     assert line.startswith("cold_rolling is missing in all cars (100 %). Cold tyres")
     assert "NOT plausible (range 0 to 60 N): it may stand for another cause." in line
 
