@@ -169,7 +169,7 @@ def test_own_effect_is_not_advised_beside_a_named_one():
         make_empty_diagnosis(deviations=[make_deviation()], unknown=[make_unknown_cause()]),
     ):
         assert "effect of your own" not in printed(result)
-    assert "Add cold_rolling first, and see whether it is still there." in printed(make_diagnosis())
+    assert "and see whether the cause outside the library is still there." in printed(make_diagnosis())
 
 
 def test_effects_without_a_signal_are_listed():
