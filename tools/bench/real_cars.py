@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from socast.core.batch import Floats, Ints
 from socast.core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY
-from socast.core.fit.recipes import RECIPES, fit_to_windows
+from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import ANY, LinearModel
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
@@ -82,7 +82,8 @@ class Car(NamedTuple):
     def predict(self, fitted: Ints, rows: Ints) -> Floats:
         """Return the errors of some rides by a model of others. [kWh]"""
         held_out = self.rides.iloc[rows]
-        return self.fit(fitted).predict_energy(held_out) - held_out["energy_kwh"].to_numpy(dtype=np.float64)
+        error = self.fit(fitted).predict_energy(held_out) - held_out["energy_kwh"].to_numpy(dtype=np.float64)
+        return np.asarray(error, dtype=np.float64)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -190,7 +191,7 @@ def _measure_few(car: Car, count: int) -> float:
 
 def list_coefficients(car: Car) -> list[str]:
     """Return the road load of the Model 3 from its road drives beside that of the dynamometer."""
-    model = RECIPES[RECIPE].fit(car.rides, car.windows)
+    model = fit_to_windows(RECIPE, car.rides, car.windows)
     fit, names = model.fits[ANY], [term.name for term in model.terms]
     assert fit.covariance is not None  # the recipe computes it
     mass = float((car.rides["effect_rolling"] * 3.6e3 / GRAVITY / car.rides["distance_km"]).median())

@@ -178,8 +178,8 @@ def list_unknown(columns: WindowColumns) -> list[Family]:
         forms.setdefault((form.term.carrier.name, form.term.variables), []).append(at)
     always = (Timing("always", np.ones(len(everywhere))),)
     return [
-        Family(UNKNOWN, "all", tuple(at), everywhere, always, PRIOR_UNKNOWN, 1.0, either_sign=True)
-        for at in forms.values()
+        Family(UNKNOWN, "all", tuple(members), everywhere, always, PRIOR_UNKNOWN, 1.0, either_sign=True)
+        for members in forms.values()
     ]
 
 
