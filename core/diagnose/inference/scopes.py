@@ -157,12 +157,12 @@ def list_families(
     expected = {each.effect for each in columns.expected}
     always = (Timing("always", np.ones(len(everywhere))),)
     out = []
-    for name, at in variants.items():
+    for name, members in variants.items():
         if name in expected or name in inside:
             continue
         effect = effects.get(name)
         prior = PRIOR_GUESSED if columns.guessed & set(effect.arguments) else PRIOR_EFFECT
-        out.append(Family(name, "all", tuple(at), everywhere, always, prior, ALWAYS_SIZE, effect.sign == 0))
+        out.append(Family(name, "all", tuple(members), everywhere, always, prior, ALWAYS_SIZE, effect.sign == 0))
     if scopes:
         declared = {columns.names[at]: at for at in range(len(columns.names)) if columns.names[at] in variants}
         out += _list_scoped(columns, declared, groups)
