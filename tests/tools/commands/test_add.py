@@ -275,8 +275,9 @@ def test_loop_adds_effects_until_none_is_missing(made_up, here, capsys):
     assert models.load(here / "base.json").history[-1]["action"] == "fit"
 
 
-def test_loop_ends_at_refused_effect(made_up, here, capsys):
-    made_up += [make_diagnosis(missing=[make_missing_effect(variant="headwind", columns=["effect_headwind"])])]
+def test_loop_tries_each_effect_once_and_ends_without_further_ones(made_up, here, capsys):
+    wind = make_missing_effect(effect="headwind", variant="headwind", columns=["effect_headwind"])
+    made_up += 2 * [make_diagnosis(verdict="headwind", missing=[wind], deviations=[])]
     done("diagnose", here / "tables", "--model", here / "base.json", "--auto", "-o", here / "m2.json")
     assert "The loop ends here" in capsys.readouterr().out
     model = models.load(here / "m2.json")
