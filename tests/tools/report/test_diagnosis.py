@@ -285,12 +285,6 @@ def test_bins_that_compare_marks_are_named_where_no_group_differs():
     assert "Off zero" not in printed(make_empty_diagnosis())
 
 
-def test_one_form_outside_the_library_is_certain():
-    line, symbols = sentences.describe_unknown(make_unknown_cause(forms={"P = c · d · r": 1.0}))
-    assert line.startswith("Something outside the library is missing (probability 97 %)")
-    assert symbols == "With d: darkness; r: rain or melted snow that falls in a time."
-
-
 def test_noise_above_the_error_is_called_overestimated():
     result = make_diagnosis(unknown=[], error={"mae_kwh": 0.0596, "noise_floor_kwh": 0.113})
     assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]
