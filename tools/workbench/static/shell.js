@@ -124,7 +124,7 @@ async function show() {
     main.replaceChildren();
     main.className = `page page-${state.page}`;
     window.scrollTo(0, 0);
-    current.page = module.mount(main, state, makeContext(controller));
+    current.page = module.mount(main, readState(location.hash), makeContext(controller)); // it may have changed meanwhile
     document.documentElement.dataset.page = state.page;
   } catch (error) {
     if (mine === turn) main.replaceChildren(failed(error, () => location.reload()));

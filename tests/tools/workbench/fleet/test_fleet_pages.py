@@ -268,6 +268,18 @@ def test_car_whose_shift_is_over_is_named_so_and_has_no_risk(browser):
     assert {alarm["car"] for alarm in list_alarms(board)["list"]} == {"taxi-0000", "taxi-0001"}
 
 
+def test_address_that_changes_while_its_page_loads_is_obeyed(browser, server):
+    visit, held = Visit(browser, server), []
+    visit.page.route("**/car.js", lambda route: held.append(route))  # noqa: PLW0108 - Playwright marks what it is given
+    visit.go("#/car/taxi-001")
+    assert eventually(lambda: visit.page.evaluate("1") and held)
+    visit.go("#/car/taxi-001?km=18&min=25")
+    visit.page.wait_for_timeout(50)
+    held[0].continue_()
+    expect(visit.page.get_by_label("Distance [km]")).to_have_value("18")
+    visit.close()
+
+
 def test_page_says_when_it_shows_what_is_old(browser, monkeypatch):
     source, board = BoardSource(Board()), make_fleet_messages(3, 0.0, np.random.default_rng(7))
     source.board.take(board)
