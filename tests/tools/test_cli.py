@@ -276,7 +276,7 @@ def test_impossible_request_is_refused_in_one_line(arguments, message, recording
     assert recording.read_bytes() == kept
 
 
-CLEANING = ["--speed-limit-kmh", "--period", "--smoothing", "--least-distance-km"]
+CLEANING = ["--speed-limit-kmh", "--period", "--smoothing", "--least-distance-km", "--longest-ride-min"]
 
 
 @pytest.mark.parametrize("option", CLEANING)

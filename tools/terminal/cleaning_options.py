@@ -9,6 +9,7 @@ from socast.core.settings import LIMITS, Settings
 from socast.tools.terminal.option_groups import insert_options
 
 _KM: Final = 1000.0
+_MINUTE: Final = 60.0
 _DEFAULTS: Final = Settings()
 
 SPEED_LIMIT_KMH: Final = round(_DEFAULTS.speed_limit / KMH, 6)
@@ -19,6 +20,8 @@ SMOOTHING: Final = _DEFAULTS.window
 """Default number of samples in the moving average of a reported speed."""
 LEAST_DISTANCE_KM: Final = _DEFAULTS.least_distance / _KM
 """Default distance below which a ride is unfit for training. [km]"""
+LONGEST_RIDE_MIN: Final = _DEFAULTS.longest_ride / _MINUTE
+"""Default duration above which a ride is unfit for training. [min]"""
 
 
 def _limits(name: str, unit: float = 1.0) -> dict[str, float]:
@@ -54,6 +57,15 @@ LeastDistance = Annotated[
         **_limits("least_distance", _KM),
     ),
 ]
+LongestRide = Annotated[
+    float,
+    typer.Option(
+        "--longest-ride-min",
+        metavar="MIN",
+        help="Longer rides are unfit for training.",
+        **_limits("longest_ride", _MINUTE),
+    ),
+]
 
 
 def make_settings(
@@ -61,6 +73,7 @@ def make_settings(
     period: Period = PERIOD_S,
     smoothing: Smoothing = SMOOTHING,
     least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
+    longest_ride_min: LongestRide = LONGEST_RIDE_MIN,
 ) -> Settings:
     """Return the settings that the options of cleaning define.
 
@@ -79,7 +92,11 @@ def make_settings(
     5
     """
     return Settings(
-        period=period, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
+        period=period,
+        speed_limit=speed_limit_kmh * KMH,
+        window=smoothing,
+        least_distance=least_distance_km * _KM,
+        longest_ride=longest_ride_min * _MINUTE,
     )
 
 
@@ -96,6 +113,7 @@ def word_settings(settings: Settings) -> list[str]:
         "--period": (settings.period, PERIOD_S),
         "--smoothing": (settings.window, SMOOTHING),
         "--least-distance-km": (settings.least_distance / _KM, LEAST_DISTANCE_KM),
+        "--longest-ride-min": (settings.longest_ride / _MINUTE, LONGEST_RIDE_MIN),
     }
     changed = {name: round(value, 6) for name, (value, default) in values.items() if round(value, 6) != default}
     return [word for name, value in changed.items() for word in (name, f"{value:g}")]

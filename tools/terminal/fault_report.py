@@ -21,8 +21,12 @@ RARE: Final = 0.001
 """Share of the samples of a car up to which a fault leaves it among the clean ones. [1]"""
 RIDE_COLUMNS: Final = ("vehicle_id", "duration_s", "distance_km", "fit_for_training", "unfit_reason")
 """Columns of the ride table that the report is made of."""
-_OF_THE_RIDE: Final = {"too_short", "too_long", "too_little_distance"}
-"""Reasons for which a ride is unfit whatever the logger does."""
+_OF_THE_RIDE: Final = {
+    "too_short": "too short",
+    "too_long": "too long; --longest-ride-min sets the limit",
+    "too_little_distance": "too little distance; --least-distance-km sets the limit",
+}
+"""Reasons for which a ride is unfit whatever the logger does, in words."""
 _FAULT_OF: Final[dict[str, LoggerFault]] = {cause: FAULTS[Quality[cause.upper()]] for cause in CAUSES}
 
 
@@ -71,7 +75,7 @@ class CarFaults(msgspec.Struct, frozen=True):
     @property
     def is_clean(self) -> bool:
         """Return whether no fault of the logger is frequent, or costs a ride."""
-        return not (self.facts or any(map(self.is_frequent, self.logger_faults)) or set(self.unfit) - _OF_THE_RIDE)
+        return not (self.facts or any(map(self.is_frequent, self.logger_faults)) or self.unfit.keys() - _OF_THE_RIDE)
 
     def is_frequent(self, name: str) -> bool:
         """Return whether more than `RARE` of the samples have a quality bit."""
@@ -152,6 +156,7 @@ def show_cars(cars: Sequence[CarFaults], console: Console) -> None:
         _print(
             console, f"Clean (no fault in more than {100.0 * RARE:g} % of the samples, no ride lost by one): {names}."
         )
+    _show_limits([car for car in cars if car.is_clean], console)
     shown = {name for car in faulty[:MOST_SHOWN] for name in car.logger_faults if car.is_frequent(name)}
     if shown:
         table = make_table([Column("fault"), Column("remedy, for the maker of the logger")], "Remedies")
@@ -159,6 +164,19 @@ def show_cars(cars: Sequence[CarFaults], console: Console) -> None:
             if name in shown:
                 table.add_row(_FAULT_OF[name].title, _FAULT_OF[name].remedy)
         console.print(table)
+
+
+def _show_limits(cars: Sequence[CarFaults], console: Console) -> None:
+    """Print which rides of clean cars are unfit by their length."""
+    rides, km = sum(car.rides for car in cars), sum(car.km for car in cars)
+    for reason, words in _OF_THE_RIDE.items():
+        lost = [car.unfit[reason] for car in cars if reason in car.unfit]
+        if lost:
+            count, of = sum(each.rides for each in lost), sum(each.km for each in lost)
+            _print(
+                console,
+                f"Unfit for training: {count:,} of {format_count(rides, 'ride')}, {of:,.1f} of {km:,.1f} km, {words}.",
+            )
 
 
 def _show_car(car: CarFaults, console: Console) -> None:
@@ -206,7 +224,7 @@ def _share(car: CarFaults) -> float:
 
 def _spell(reason: str) -> str:
     """Return the reason for which rides are unfit in words."""
-    return reason.replace("_", " ")
+    return _OF_THE_RIDE.get(reason) or reason.replace("_", " ")
 
 
 def _print(console: Console, line: str) -> None:

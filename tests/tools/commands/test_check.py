@@ -68,6 +68,11 @@ def test_page_shows_faults_costs_and_remedies_of_a_car_and_clean_cars_in_one_lin
     assert "b: 1,000 samples" not in out
 
 
+def test_rides_of_clean_cars_that_are_left_out_by_their_length_are_told_with_the_option(capsys):
+    out = print_report(make_report(rides=RIDES.replace("too_short", "too_long")), capsys)
+    assert "Unfit for training: 1 of 2 rides, 0.1 of 12.1 km, too long; --longest-ride-min sets the limit." in out
+
+
 def test_rare_faults_of_a_car_are_named_in_one_line(capsys):
     out = print_report(make_report(gap=500, late=1), capsys)
     assert "In at most 0.1 % of the samples: sample out of order." in out

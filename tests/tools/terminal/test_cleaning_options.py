@@ -11,8 +11,8 @@ from socast.tools.commands.diagnose import insert_commands
 from socast.tools.terminal.cleaning_options import make_settings, word_settings
 from socast.tools.terminal.ride_source import RideSource
 
-MOTORWAY = make_settings(speed_limit_kmh=180.0, least_distance_km=1.5)
-WORDS = "--speed-limit-kmh 180 --least-distance-km 1.5"
+MOTORWAY = make_settings(speed_limit_kmh=180.0, least_distance_km=1.5, longest_ride_min=90.0)
+WORDS = "--speed-limit-kmh 180 --least-distance-km 1.5 --longest-ride-min 90"
 
 
 def test_only_changed_settings_are_worded():
