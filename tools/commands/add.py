@@ -83,8 +83,8 @@ def add_effect(
             models.save(add.log_attempt(base, added.trial), out)
             what, option = ("undecided", "--even-if-undecided") if undecided else ("refused", "--force")
             raise ModelError(
-                f"{effect} is not added, it is {what}: {added.trial.reason}; {out} is model {base.name} unchanged, "
-                f"with the attempt in its history; add the effect all the same with {option}"
+                f"{effect} is not added, it is {what}: {added.trial.reason}; {out} holds model {base.name} without it, "
+                f"and the attempt in its history; add the effect all the same with {option}"
             )
         added = add.force_addition(added)
     models.save(added.model, out)

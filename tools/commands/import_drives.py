@@ -128,9 +128,14 @@ def import_drives(
     socast import bmw-i3 downloads/ --out i3.mcap
     """
     if data_set in TABLE_KINDS:
-        changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone}
-        if wrong := [option for option, value in changed.items() if value]:
-            raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
+        changed = {
+            "--vehicle": (vehicle, "name the cars in [vehicle] of the map"),
+            "--shift-hours": (shift_hours, "leave it out: the drives keep their own times"),
+            "--time-zone": (time_zone, "set zone in [time] of the map"),
+        }
+        for option, (value, remedy) in changed.items():
+            if value:
+                raise SettingsError(f"{option} applies to public data sets only; {remedy}")
         options = TableImport(
             map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
         )

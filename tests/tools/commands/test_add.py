@@ -106,7 +106,7 @@ def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_outpu
     here, message = refusal
     assert re.fullmatch(r"socast: [^\n]+\n", message)
     assert "headwind is not added, it is refused: " in message
-    assert f"{here / 'm2.json'} is model base unchanged, with the attempt in its history" in message
+    assert f"{here / 'm2.json'} holds model base without it, and the attempt in its history" in message
     assert "add the effect all the same with --force" in message
     assert (here / "base.json").read_bytes() == (folder / "base.json").read_bytes()
     assert sorted(path.name for path in here.iterdir()) == ["base.json", "m2.json", "tables"]

@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
-import { number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed } from "./format.js";
 import { command, fill, getReady, heading, modelChoice, nextStep, openWorkspace, progress, put, query } from "./loop.js";
 import { mountOwnEffects } from "./own-effects.js";
 import { bare, plain } from "./scales.js";
@@ -83,7 +83,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       el("h2", {}, record.title),
       el("p", {}, lines.join(" ")),
       el("p", {}, record.next.join(" ")),
-      record.held_out.rides > 0 && el("p", { class: "note small" }, `${number(record.held_out.rides)} rides of ${record.held_out.dates.length} days are set aside; an added effect is evaluated on them.`),
+      record.held_out.rides > 0 && el("p", { class: "note small" }, `${count(record.held_out.rides, "ride")} of ${count(record.held_out.dates.length, "date")} are set aside; an added effect is evaluated on them.`),
       el("details", { class: "same" }, el("summary", {}, "What remains"), record.remainder.map((line) => el("p", { class: "small" }, line.replaceAll("->", "→")))),
     );
   }
@@ -251,7 +251,7 @@ function drawPartial(host, partial, name) {
   const unit = partial.per === "km" ? "Wh/km" : "W";
   const words = name.replaceAll("_", " ");
   const ends = [Math.min(0, ...partial.x), Math.max(0, ...partial.x)];
-  const say = (values) => (i) => [`${signed(values[i], 1)}\u202f${unit}`, `± ${plain(partial.ci95[i])}`, `${number(partial.windows[i])} windows on ${number(partial.days[i])} vehicle-days`];
+  const say = (values) => (i) => [`${signed(values[i], 1)}\u202f${unit}`, `± ${plain(partial.ci95[i])}`, `${count(partial.windows[i], "window")} on ${count(partial.days[i], "vehicle-day")}`];
   return chart(host, {
     title: `Measured less predicted against the energy of ${words}`,
     summary: `The slope is the coefficient, ${plain(partial.slope)} ${unitOf(partial.unit)}. After it is added, no slope remains.`,

@@ -2,7 +2,7 @@
 
 import { chart, legendOf, scaleLegend } from "./chart.js";
 import { el, svg } from "./dom.js";
-import { number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed } from "./format.js";
 import { changeFilter, choice, command, field, fill, filterBar, getReady, heading, modelChoice, nextStep, openWorkspace, put, query } from "./loop.js";
 import { categoryToken, extent, plain, sequential, token, withUnit } from "./scales.js";
 import { heldOut } from "./step.js";
@@ -165,7 +165,7 @@ function makeView(root, { state: first, model, workspace, rides, step, context }
     return el("div", { class: "cards" }, record.slices.map((slice) => {
       const value = slice.conditions.map(encodeURIComponent).join("|");
       return el("button", { type: "button", class: "slice", "aria-pressed": String((state.filter ?? "").includes(`where:${value}`)), onclick: () => context.navigate({ filter: changeFilter(state.filter, "where", value) }) },
-        el("strong", {}, slice.where), el("span", {}, slice.words), el("span", { class: "soft small" }, `${number(slice.rides)} rides, 95 % interval ${signed(slice.ci95[0], 3)} to ${signed(slice.ci95[1], 3)}\u202fkWh`), el("span", { class: "chip" }, "Filter to these rides"));
+        el("strong", {}, slice.where), el("span", {}, slice.words), el("span", { class: "soft small" }, `${count(slice.rides, "ride")}, 95 % interval ${signed(slice.ci95[0], 3)} to ${signed(slice.ci95[1], 3)}\u202fkWh`), el("span", { class: "chip" }, "Filter to these rides"));
     }));
   }
 

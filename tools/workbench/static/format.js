@@ -9,6 +9,11 @@ export function number(value, digits = 0) {
   return value < 0 && Number(text.replaceAll(",", "")) !== 0 ? MINUS + text : text;
 }
 
+// A number with its noun in the singular or the plural.
+export function count(value, noun) {
+  return `${number(value)} ${noun}${value === 1 ? "" : "s"}`;
+}
+
 export function quantity(value, unit, digits = 0) {
   const text = number(value, digits);
   return text === "–" ? text : `${text}${NARROW}${unit}`;

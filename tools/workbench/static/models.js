@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { el, picture } from "./dom.js";
-import { number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed } from "./format.js";
 import { choice, command, field, fill, heading, nextStep, openWorkspace, progress, put, query } from "./loop.js";
 import { coefficients, heldOut, outcomeOf } from "./step.js";
 
@@ -81,7 +81,7 @@ export function mount(root, first, context) {
           undo,
           others.length > 0 && field("Compare with", "with", choice([["", "choose…"], ...others], "", (value) => value && context.navigate({ model: name, with: value })))),
         said,
-        record.training && el("p", { class: "note small" }, `${record.title}, fitted to ${number(record.training.rides)} rides from ${record.training.first_date} to ${record.training.last_date}. File: ${record.file}`)),
+        record.training && el("p", { class: "note small" }, `${record.title}, fitted to ${count(record.training.rides, "ride")} from ${record.training.first_date} to ${record.training.last_date}. File: ${record.file}`)),
       el("section", { class: "card stack", "aria-label": "History" }, el("h2", {}, "History"), record.picture && picture(record.picture), drawSteps(record.steps)),
       el("section", { class: "card stack", "aria-label": "Coefficients" }, el("h2", {}, "Coefficients"), values),
       command(record.commands));

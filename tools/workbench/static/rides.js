@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
-import { number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed } from "./format.js";
 import { changeFilter, command, fill, filterBar, heading, modelChoice, nextStep, openWorkspace, put, query } from "./loop.js";
 import { mountRide } from "./ride.js";
 import { plain, withUnit } from "./scales.js";
@@ -165,7 +165,7 @@ async function mountRides(body, { state, model, workspace, context }) {
   }
 
   const { about } = record;
-  const words = `${number(about.rides)} rides of ${number(about.vehicles)} cars, ${about.first_date} to ${about.last_date}. Each point is a ride: how much energy it took, and how much the model predicted.`;
+  const words = `${count(about.rides, "ride")} of ${count(about.vehicles, "car")}, ${about.first_date} to ${about.last_date}. Each point is a ride: how much energy it took, and how much the model predicted.`;
   body.append(
     heading("Rides", words, modelChoice(workspace, state, context)),
     nextStep("open a ride that is far off the line, or find out", context.link({ page: "failures", model: state.model }), "where the model fails"),
