@@ -32,7 +32,7 @@ from socast.core.diagnose.deviations import describe_deviations, list_credible, 
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.inference.forms import FormSearch
+from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
 from socast.core.diagnose.inference.scopes import KnownEvent

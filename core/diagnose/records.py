@@ -29,7 +29,7 @@ class CauseProbability(Record, frozen=True):
     """Hold a cause of an error: an effect, `unknown` for something outside the library, or `none`."""
 
     effect: Annotated[str, declare("Name of the cause.", "cause")]
-    probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
+    probability: Annotated[float | None, declare("Probability. [1]", "probability", "chance")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
     plausible: Annotated[bool | None, declare("Whether its coefficient would be plausible; None if unknown.")] = None
 
@@ -90,7 +90,7 @@ class NamedEffect(Record, frozen=True):
     )
     probability: Annotated[
         float | None,
-        declare("Probability that it is missing, whatever else is. [1]", "probability", "whole percent"),
+        declare("Probability that it is missing, whatever else is. [1]", "probability", "chance"),
     ] = None
     causes: Annotated[
         list[CauseProbability],
@@ -126,7 +126,7 @@ class TestedEffect(Record, frozen=True):
     variant: Annotated[str, declare("Variant that fits best.", "effect")] = ""
     z: Annotated[float | None, declare("Coefficient of it alone, in standard errors. [1]", "z", "score")] = None
     probability: Annotated[
-        float | None, declare("Probability that it is missing, whatever else is. [1]", "probability", "whole percent")
+        float | None, declare("Probability that it is missing, whatever else is. [1]", "probability", "chance")
     ] = None
     gain: Annotated[float | None, declare("Held-out gain of it alone. [1]", "gain", "fine percent")] = None
     status: Annotated[str, declare("Result of the test.", "result")] = ""
@@ -316,7 +316,7 @@ class UnknownCause(Record, frozen=True):
     formula: Annotated[str, declare("Power of the form that fits best.", "form")]
     probability: Annotated[
         float | None,
-        declare("Probability that something like it is missing. [1]", "probability", "whole percent"),
+        declare("Probability that something like it is missing. [1]", "probability", "chance"),
     ] = None
     energy_share: Annotated[
         float | None,

@@ -9,7 +9,7 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file, list_symbols
-from socast.core.diagnose.forms.terms import FreeTerm
+from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.diagnose.gains import compute_correlation
 from socast.core.diagnose.inference.posterior import Inference
 from socast.core.diagnose.inference.window_columns import WindowColumns
@@ -74,7 +74,7 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
     return out
 
 
-def find_resembling(form: FreeTerm, energy: Floats, columns: WindowColumns) -> str | None:
+def find_resembling(form: FormTerm, energy: Floats, columns: WindowColumns) -> str | None:
     """Return the effect of the library that is most like a form: on the same load, with conditions that it shares."""
     conditions = {CONDITIONS.get(name, name) for name in form.variables}
     found: dict[str, float] = {}

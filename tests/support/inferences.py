@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from socast.core import effects
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.inference.forms import FormSearch
+from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
 from socast.core.diagnose.inference.window_columns import gather_window_columns

@@ -124,6 +124,17 @@ def format_percent(share: Figure, digits: int = 1) -> str:
     return UNKNOWN if known is None else format_minus(f"{100.0 * known:.{digits}f} %")
 
 
+def format_chance(chance: float | None) -> str:
+    """Return a probability as a percentage, with a decimal where it would else be rounded to certainty.
+
+    Examples
+    --------
+    >>> format_chance(0.517), format_chance(0.9949), format_chance(0.99996), format_chance(None)
+    ('52 %', '99.5 %', '100 %', '–')
+    """
+    return format_percent(chance, 1 if chance is not None and 0.99 < chance < 0.9995 else 0)
+
+
 def format_change(value: float | None, reference: float | None) -> str:
     """Return by which percentage a figure is above a reference.
 

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from socast.tools.report.cells import Cell, ReportTable, Row, format_count, format_percent
+from socast.tools.report.cells import Cell, ReportTable, Row, format_chance, format_count, format_percent
 from socast.tools.report.diagnosis.tables import format_coefficient
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section
@@ -138,7 +138,7 @@ def _tabulate_scores(scores: Sequence[SpikeScore]) -> ReportTable:
                     format_percent(each.size),
                     judge(each),
                     format_count(each.new_rank),
-                    format_percent(each.probability, 0),
+                    format_chance(each.probability),
                     _format_ratio(each),
                     format_percent(each.way, 0),
                     each.found_since or "",

@@ -35,7 +35,7 @@ class PlaceboName(Record, frozen=True):
 
     effect: Annotated[str, declare("Effect.", "effect")]
     where: Annotated[str, declare("Car and date, or all cars.", "where")]
-    probability: Annotated[float, declare("Probability that it is missing. [1]", "probability", "whole percent")]
+    probability: Annotated[float, declare("Probability that it is missing. [1]", "probability", "chance")]
     coefficient: Annotated[EstimatedCoefficient, declare("Its coefficient.", "coefficient", "coefficient")] = (
         EstimatedCoefficient()
     )
@@ -60,7 +60,7 @@ class SpikeScore(Record, frozen=True):
     ] = False
     rank: Annotated[int | None, declare("Place among the names; None if it is not named.", "rank", "count")] = None
     new_rank: Annotated[int | None, declare("Place among the names that the placebo does not have.")] = None
-    probability: Annotated[float | None, declare("Probability of its name. [1]", "probability", "whole percent")] = None
+    probability: Annotated[float | None, declare("Probability of its name. [1]", "probability", "chance")] = None
     in_credible_set: Annotated[bool, declare("Whether a credible set of 90 % holds its name.")] = False
     coefficient: Annotated[EstimatedCoefficient | None, declare("Its coefficient.", "coefficient", "coefficient")] = (
         None

@@ -18,7 +18,7 @@ from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.deviations import list_credible
 from socast.core.diagnose.error_steps import compute_held_out_errors
-from socast.core.diagnose.inference.forms import FormSearch
+from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.posterior import Inference, LikelyCause, infer_missing
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.projection import BaseProjection

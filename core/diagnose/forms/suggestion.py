@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from socast.core.diagnose.forms.terms import FreeTerm, Modulator
+from socast.core.diagnose.forms.terms import FormTerm, Modulator
 from socast.core.effects.declaration import Parameter
 from socast.core.effects.source_file import render_source
 
@@ -20,14 +20,14 @@ class _Written(NamedTuple):
     parameter: Parameter | None = None
 
 
-def format_formula(term: FreeTerm) -> str:
+def format_formula(term: FormTerm) -> str:
     """Return the formula of the power of a term, with a coefficient c."""
     written = [_write(each) for each in term.modulators]
     factors = ["c", *(each.formula for each in written), *([term.carrier.symbol] if term.carrier.symbol else [])]
     return ", ".join([f"P = {' · '.join(factors)}", *(each.limit_text for each in written if each.limit_text)])
 
 
-def derive_unit(term: FreeTerm) -> str:
+def derive_unit(term: FormTerm) -> str:
     """Return the unit of the coefficient of a term with which its power is in watt, as pint spells it."""
     unit = term.carrier.unit
     for each in term.modulators:
@@ -38,18 +38,18 @@ def derive_unit(term: FreeTerm) -> str:
     return unit
 
 
-def list_symbols(term: FreeTerm) -> dict[str, str]:
+def list_symbols(term: FormTerm) -> dict[str, str]:
     """Return the symbols of the formula of a form with their meanings."""
     of_load = {term.carrier.symbol: term.carrier.meaning} if term.carrier.symbol else {}
     return {each.variable.symbol: each.variable.meaning for each in term.modulators} | of_load
 
 
-def name_term(term: FreeTerm) -> str:
+def name_term(term: FormTerm) -> str:
     """Return the name of the effect of a term."""
     return "_and_".join([f"suggested_{term.carrier.name}", *sorted(term.variables)])
 
 
-def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
+def format_source_file(term: FormTerm, coefficient: float, windows: int) -> str:
     """Return the source of a Python file with the effect of a term, which passes `socast effects check`."""
     written = [_write(each) for each in term.modulators]
     arguments = [*term.carrier.arguments, *(a for each in term.modulators for a in each.variable.arguments)]

@@ -57,7 +57,7 @@ LIMITED: Final = ("above", "below", "decay")
 """Shapes with a limit or a scale."""
 
 
-class FreeTerm(NamedTuple):
+class FormTerm(NamedTuple):
     """Hold a carrier and modulators of different variables, whose product is the energy in each window."""
 
     carrier: Carrier

@@ -24,9 +24,9 @@ from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.forms.suggestion import format_formula
-from socast.core.diagnose.forms.terms import FreeTerm
+from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
-from socast.core.diagnose.inference.forms import FormSearch
+from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
 from socast.core.diagnose.inference.scopes import (
     PRIOR_EFFECT,
@@ -101,7 +101,7 @@ class LikelyCause:
         Timing of the best alternative.
     column : (n,) float
         Energy of the best alternative per unit of its coefficient. [kWh]
-    form : FreeTerm, optional
+    form : FormTerm, optional
         The form outside the library.
     forms : dict of str to float
         Formulas of the forms that could explain the same, each with its share of the probability. [1]
@@ -116,7 +116,7 @@ class LikelyCause:
     dates: dict[int, float]
     place: int
     column: Floats
-    form: FreeTerm | None = None
+    form: FormTerm | None = None
     forms: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -18,7 +18,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.candidates import LEAST_KNOWN
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.forms.terms import FreeTerm
+from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
 from socast.core.fit.block_sums import build_design
@@ -93,7 +93,7 @@ class UnknownForm(NamedTuple):
         Logarithm of its share of the prior probability that something outside the library is missing.
     """
 
-    term: FreeTerm
+    term: FormTerm
     size: float
     log_share: float
 

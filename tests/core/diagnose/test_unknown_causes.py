@@ -3,7 +3,7 @@
 import pytest
 
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
-from socast.core.diagnose.forms.terms import FreeTerm, list_modulators
+from socast.core.diagnose.forms.terms import FormTerm, list_modulators
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.unknown_causes import find_resembling
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
@@ -36,7 +36,7 @@ def test_form_resembles_effect_of_the_same_load_and_condition(seen, carrier, var
     found = set()
     for each in list_modulators(VARIABLE[variable], values):
         if each.shape == shape:
-            form = FreeTerm(CARRIER[carrier], (each,))
+            form = FormTerm(CARRIER[carrier], (each,))
             energy = CARRIER[carrier].energy(windows.table) * each.evaluate(values)
             found.add(find_resembling(form, energy, columns))
     assert effect in found

@@ -17,10 +17,17 @@ CAUSES = [
 def test_bars_are_sorted_with_effects_first():
     [one] = draw_causes(CAUSES)
     rows = [(name, share) for trace in one.figure.data for name, share in zip(trace.y, trace.x, strict=True)]
-    assert [name for name, _ in rows] == ["headwind", "crosswind yaw", "none"]
+    assert [name for name, _ in rows] == ["headwind", "crosswind yaw", "no missing effect"]
     assert [share for _, share in rows] == pytest.approx([60.0, 35.0, 5.0])
     assert one.figure.data[0].text[0] == "60 %"
     assert_axes_are_titled(one.figure)
+
+
+def test_a_cause_outside_the_library_is_no_effect_of_it():
+    [one] = draw_causes([*CAUSES[:2], CauseProbability(effect="unknown", probability=0.35)])
+    named, apart = one.figure.data
+    assert list(named.y) == ["headwind"]
+    assert list(apart.y) == ["a cause outside the library", "no missing effect"]
 
 
 def test_many_causes_share_the_last_bar():

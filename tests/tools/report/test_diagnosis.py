@@ -17,9 +17,9 @@ from socast.tools.report.diagnosis.figures import (
     draw_coefficients,
     draw_effects,
     draw_errors,
+    draw_remainder,
     draw_slices,
 )
-from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import (
     make_deviation,
@@ -336,7 +336,7 @@ def test_page_has_every_figure_and_table(tmp_path):
     reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {
-        *("causes", "errors", "slices", "location", "effects", "coefficient-0", "coefficient-1"),
+        *("causes", "errors", "slices", "location", "effects", "coefficient-0", "coefficient-1", "unknown"),
         *("partial-0", "partial-cars-0", "partial-slopes-0", "partial-1", "partial-cars-1", "partial-slopes-1"),
         *("profile-average_speed_kmh", "profile-vehicle_id"),
         *("cars", "change-0"),
@@ -371,7 +371,7 @@ def test_title_and_caption_that_repeat_stand_once(tmp_path):
     assert text.count(">Line: 95\u00a0% interval. Shaded: the plausible range.") == 1
 
 
-@pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_profiles])
+@pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])
 def test_figures_have_units_and_work_in_black_and_white(make):
     for one in make(make_diagnosis()):
         assert_axes_are_titled(one.figure)
@@ -470,7 +470,7 @@ def readers():
 
 
 def test_every_part_with_a_figure_has_a_reader(readers):
-    assert {"causes", "error", "steps", "slices", "error_location", "missing", "profiles"} <= set(readers)
+    assert {"causes", "error", "steps", "slices", "error_location", "missing", "unknown", "profiles"} <= set(readers)
     assert {"deviations", "cars"} <= set(readers)
 
 

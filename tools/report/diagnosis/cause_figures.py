@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
-from socast.core.diagnose.records import NONE, CauseProbability
-from socast.tools.report.diagnosis.sentences import LEAST_PROBABILITY
+from socast.core.diagnose.records import CauseProbability
+from socast.tools.report.cells import format_chance
+from socast.tools.report.diagnosis.sentences import CAUSE_NAMES, LEAST_PROBABILITY
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
 
@@ -18,11 +19,11 @@ MOST: Final = 12
 def draw_causes(
     causes: Sequence[CauseProbability], *, key: str = "causes", title: str = "Probable causes"
 ) -> list[Illustration]:
-    """Draw the probability of each cause as a bar: effects first, then `none`."""
+    """Draw the probability of each cause as a bar: effects first, then a cause outside the library, then none."""
     known = [(one.effect, one.probability) for one in causes]
     rows = sorted(((name, p) for name, p in known if p is not None), key=lambda row: -row[1])
-    named = [row for row in rows if row[0] != NONE]
-    apart = [row for row in rows if row[0] == NONE]
+    named = [row for row in rows if row[0] not in CAUSE_NAMES]
+    apart = [(CAUSE_NAMES[name], p) for name, p in sorted(rows, reverse=True) if name in CAUSE_NAMES]
     if not rows:
         return []
     named = _merge_improbable(named)
@@ -36,7 +37,7 @@ def draw_causes(
             textposition="outside",
             cliponaxis=False,
         )
-        for name, style, group in (("effect of the library", 2, named), (NONE, 0, apart))
+        for name, style, group in (("effect of the library", 2, named), ("no effect of the library", 0, apart))
         if group
     ]
     made = make_figure(traces, 100 + ROW * (len(named) + len(apart)))
@@ -44,8 +45,8 @@ def draw_causes(
     made.update_xaxes(title_text="Probability [%]", range=[0.0, 108.0], tickvals=[0, 20, 40, 60, 80, 100])
     made.update_yaxes(title_text="Cause", type="category", autorange="reversed")
     caption = (
-        "Blue: effects of the library. Grey: that no effect is missing. Others: effects that are less probable than "
-        "0.5 %."
+        "Blue: effects of the library. Grey: a cause outside the library, and that no effect is missing. Others: "
+        "effects that are less probable than 0.5 %."
     )
     return [Illustration(key, title, caption, made)]
 
@@ -61,5 +62,5 @@ def _merge_improbable(rows: list[tuple[str, float]]) -> list[tuple[str, float]]:
 
 
 def _format_probability(value: float) -> str:
-    """Return a probability as a percentage without decimals."""
-    return f"{PERCENT * value:.0f} %" if value >= LEAST_PROBABILITY else "< 0.5 %"
+    """Return a probability as a percentage, or that it is negligible."""
+    return format_chance(value) if value >= LEAST_PROBABILITY else "< 0.5 %"

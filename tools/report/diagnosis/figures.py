@@ -14,6 +14,7 @@ from socast.tools.report.diagnosis.partial_figures import (
     draw_coefficient_rows,
     draw_partial_residuals,
 )
+from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
 
@@ -107,6 +108,23 @@ def draw_coefficients(rows: Sequence[NamedEffect]) -> list[Illustration]:
         title = f"{place + 1}. {name}: coefficient and plausible range"
         shown.append(Illustration(f"coefficient-{place}", title, caption, made, small=True))
     return shown
+
+
+def draw_remainder(result: Diagnosis) -> list[Illustration]:
+    """Draw the energy of each cause outside the library with its interval, and the remaining error by feature."""
+    rows = [one for one in result.unknown if one.energy_share is not None]
+    shown = []
+    if rows:
+        limits = [one.energy_share_ci95 for one in rows]
+        spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
+        names = [f"{i}. {one.formula.removeprefix('P = c · ')}" for i, one in enumerate(rows, start=1)]
+        made = _forest("energy", names, [PERCENT * (one.energy_share or 0.0) for one in rows], spans, place=3)
+        made.update_xaxes(title_text="Share of the measured energy [%]")
+        made.update_yaxes(title_text="Form")
+        add_reference_line(made, "", 0.0)
+        caption = "Each form beside the others and beside what is named. Lines: 95 % intervals."
+        shown.append(Illustration("unknown", "Causes outside the library", caption, made))
+    return [*shown, *draw_profiles(result)]
 
 
 def _forest(name: str, names: list[str], values: list[float], spans: Sequence[Any], *, place: int) -> go.Figure:

@@ -19,7 +19,6 @@ from socast.tools.report.diagnosis.deviation_figures import draw_deviations
 from socast.tools.report.diagnosis.location_figure import draw_location
 from socast.tools.report.diagnosis.location_sentences import describe_location
 from socast.tools.report.diagnosis.partial_figures import is_drawn, name_figure
-from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
@@ -43,7 +42,7 @@ DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingP
             else "What may be missing",
         ),
         "missing": figures.draw_effects,
-        "remains": draw_profiles,
+        "remains": figures.draw_remainder,
     }
 )
 """Functions that draw the figures of a section, by the key of the section."""

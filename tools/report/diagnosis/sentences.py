@@ -18,7 +18,7 @@ from socast.core.diagnose.records import (
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
-from socast.tools.report.cells import format_count, format_difference, format_percent
+from socast.tools.report.cells import format_chance, format_count, format_difference, format_percent
 from socast.tools.report.comparison.tables import UNITS, format_bin
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient, format_unit
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
@@ -211,7 +211,7 @@ def describe_causes(causes: Sequence[CauseProbability], most: int = MOST_CAUSES)
     """Return the most probable causes with their probabilities, such as `headwind 94 %, crosswind_yaw 5 %`."""
     known = [(one.effect, one.probability or 0.0) for one in causes]
     shown = [(name, value) for name, value in known if value >= LEAST_PROBABILITY][:most]
-    return ", ".join(f"{CAUSE_NAMES.get(name, name)} {format_percent(value, 0)}" for name, value in shown)
+    return ", ".join(f"{CAUSE_NAMES.get(name, name)} {format_chance(value)}" for name, value in shown)
 
 
 def describe_verdict(result: Diagnosis) -> list[str]:
@@ -251,7 +251,7 @@ def name_missing(one: NamedEffect, result: Diagnosis) -> str:
     """Return which effect is missing with its probability, such as `headwind is missing in all cars (100 %)`."""
     where = f" for {', '.join(one.scope)}" if one.scope else _word_cars(result)
     if not one.others:
-        return f"{one.effect} is missing{where} ({format_percent(one.probability, 0)})"
+        return f"{one.effect} is missing{where} ({format_chance(one.probability)})"
     *names, last = [one.effect, *one.others]
     chances = describe_causes([each for each in one.causes if each.effect in one.credible_set])
     return f"{', '.join(names)} or {last} is missing{where}: these data do not tell them apart ({chances})"
@@ -287,7 +287,7 @@ def _describe_none(result: Diagnosis) -> list[str]:
         return []
     first = result.causes[0]
     if first.effect == NONE:
-        line = f"No effect of the library is missing{_word_cars(result)} ({format_percent(first.probability, 0)})"
+        line = f"No effect of the library is missing{_word_cars(result)} ({format_chance(first.probability)})"
         return [f"{line}; the most probable: {others}." if others else f"{line}."]
     if (first.probability or 0.0) >= LEAST_NAMED:
         return [f"No effect is named{_word_cars(result)}: what may be missing is too small to count ({others})."]
@@ -327,7 +327,7 @@ def describe_missing_effect(one: NamedEffect) -> list[str]:
 def _describe_probability(one: NamedEffect) -> str:
     """Return the probability that an effect is missing, and the others that explain the same."""
     others = describe_causes([each for each in one.causes if each.effect != one.effect], MOST_CAUSES - 1)
-    words = f"missing with a probability of {format_percent(one.probability, 0)}"
+    words = f"missing with a probability of {format_chance(one.probability)}"
     return f"{words}{f'; or else {others}' if others else ''}"
 
 
@@ -358,7 +358,7 @@ def describe_unknown(one: UnknownCause) -> list[str]:
     """Return what is missing and not in the library, and which other forms fit as well."""
     unit = f" {format_unit(one.coefficient.unit)}".rstrip()
     line = (
-        f"Something outside the library is missing (probability {format_percent(one.probability, 0)}), with "
+        f"Something outside the library is missing (probability {format_chance(one.probability)}), with "
         f"{format_percent(one.energy_share)}{word_interval(one.energy_share_ci95)} of the energy, like {one.formula}; "
         f"c = {format_digits(one.coefficient.value)}{unit}"
         f"{f'. It resembles {one.resembles}, but no form of it fits as well' if one.resembles else ''}."
@@ -438,9 +438,7 @@ def _advise_without_effect(result: Diagnosis) -> str:
     if first is not None and first.effect != NONE:
         return "More rides would decide whether an effect is missing."
     if first is not None and (first.probability or 0.0) < LEAST_SURE:
-        return (
-            f"Most probably, no effect is missing ({format_percent(first.probability, 0)}). More rides would decide it."
-        )
+        return f"Most probably, no effect is missing ({format_chance(first.probability)}). More rides would decide it."
     return "These rides show no missing effect."
 
 

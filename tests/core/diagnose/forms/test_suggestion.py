@@ -8,7 +8,7 @@ from socast.core import effects
 from socast.core.columns import GRAVITY
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import derive_unit, format_formula, format_source_file, name_term
-from socast.core.diagnose.forms.terms import FreeTerm, list_modulators
+from socast.core.diagnose.forms.terms import FormTerm, list_modulators
 from socast.core.effects import registry
 from socast.core.signals.signals import CIVIL_DUSK
 from socast.core.signals.sun import sine_of_elevation
@@ -107,10 +107,10 @@ def some_terms():
     windows = table(signals(300))
     kinds = [list({each.shape: each for each in list_modulators(v, v.value(windows))}.values()) for v in VARIABLES]
     for i, carrier in enumerate(CARRIERS):
-        yield FreeTerm(carrier)
+        yield FormTerm(carrier)
         for j, shapes in enumerate(kinds):
-            yield FreeTerm(carrier, (shapes[(i + j) % len(shapes)],))
-        yield FreeTerm(carrier, (kinds[i][0], kinds[i + 2][-1]))
+            yield FormTerm(carrier, (shapes[(i + j) % len(shapes)],))
+        yield FormTerm(carrier, (kinds[i][0], kinds[i + 2][-1]))
 
 
 TERMS = list(some_terms())
@@ -150,7 +150,7 @@ def test_source_file_loads_as_effect(tmp_path, monkeypatch):
     charge = VARIABLE["charge"]
     (hinge, *_) = (each for each in list_modulators(charge, charge.value(table(signals(300)))) if each.shape == "above")
     path = tmp_path / "suggested.py"
-    path.write_text(format_source_file(FreeTerm(CARRIER["braking"], (hinge,)), 4.0, 4000), encoding="utf-8")
+    path.write_text(format_source_file(FormTerm(CARRIER["braking"], (hinge,)), 4.0, 4000), encoding="utf-8")
     (effect,) = effects.load_file(path)
     assert effect.name == "suggested_braking_and_charge"
     assert effect.low < 4.0 < effect.high
@@ -163,11 +163,11 @@ def test_formulas_and_units_are_readable():
         for each in list_modulators(VARIABLE["ambient"], np.array([270.0, 283.0, 283.0, 290.0]))
         if (each.shape, each.at) == ("below", 283.0)
     )
-    term = FreeTerm(CARRIER["rolling"], (hinge,))
+    term = FormTerm(CARRIER["rolling"], (hinge,))
     assert format_formula(term) == "P = c · max(T0 − T, 0) · m g cos θ v, T0 = 283 K"
     assert (derive_unit(term), name_term(term)) == ("1/K", "suggested_rolling_and_ambient")
     rain = next(
         each for each in list_modulators(VARIABLE["precipitation"], np.linspace(0.0, 1e-6, 9)) if each.shape == "square"
     )
-    assert derive_unit(FreeTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
-    assert format_formula(FreeTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"
+    assert derive_unit(FormTerm(CARRIER["auxiliary"], (rain, hinge))) == "W/(m/s)^2/K"
+    assert format_formula(FormTerm(CARRIER["auxiliary"], (rain,))) == "P = c · r²"

@@ -19,7 +19,7 @@ from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
-from socast.core.diagnose.forms.terms import FreeTerm, list_modulators
+from socast.core.diagnose.forms.terms import FormTerm, Modulator, list_modulators
 from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
 from socast.core.diagnose.inference.window_columns import UnknownForm
 from socast.core.diagnose.inference.window_model import WindowModel
@@ -54,8 +54,14 @@ class FormSearch:
 
     def __init__(self, windows: Windows) -> None:
         table, self._measured = windows.table, float(np.abs(windows.measured).sum())
-        values = {variable.name: variable.value(table) for variable in VARIABLES}
-        self._modulators = {each.name: list(list_modulators(each, values[each.name])) for each in VARIABLES}
+        values: dict[str, Floats] = {}
+        for variable in VARIABLES:
+            value = variable.value(table)
+            if not any(np.array_equal(value, other) for other in values.values()):  # one may stand for an unknown other
+                values[variable.name] = value
+        self._modulators = {
+            each.name: list(list_modulators(each, values[each.name])) for each in VARIABLES if each.name in values
+        }
         self._values = {
             modulator: modulator.evaluate(values[name])
             for name, modulators in self._modulators.items()
@@ -70,9 +76,9 @@ class FormSearch:
     def extend(self, model: WindowModel) -> WindowModel:
         """Return the model with the best forms beside what it knows among the columns that may be missing."""
         columns = model.columns
-        found = [self._weigh(model, FreeTerm(carrier)) for carrier in CARRIERS]
+        found = [self._weigh(model, FormTerm(carrier)) for carrier in CARRIERS]
         for variables, extended in enumerate(EXTENDED, 1):
-            heads: dict[tuple[str, frozenset[str]], FreeTerm] = {}
+            heads: dict[tuple[str, frozenset[str]], FormTerm] = {}
             for form in _rank(found):
                 if len(form.term.modulators) == variables and len(heads) < extended:
                     heads.setdefault((form.term.carrier.name, form.term.variables), form.term)
@@ -94,18 +100,21 @@ class FormSearch:
             )
         )
 
-    def _build_energy(self, term: FreeTerm) -> Floats:
+    def _build_energy(self, term: FormTerm) -> Floats:
         """Return the energy of a form in each window, per unit of its coefficient. [kWh]"""
         energy = self._carriers[term.carrier.name]
         for each in term.modulators:
             energy = energy * self._values[each]
         return energy
 
-    def _weigh(self, model: WindowModel, head: FreeTerm) -> _Weighed:
+    def _find_place(self, modulator: Modulator) -> int:
+        """Return the place of the variable of a modulator, so that equal forms have equal formulas."""
+        return list(self._modulators).index(modulator.variable.name)
+
+    def _weigh(self, model: WindowModel, head: FormTerm) -> _Weighed:
         """Return a form without variables and those with one variable more, or only these if it has a variable."""
-        column = self._build_energy(head)
         longer = [
-            FreeTerm(head.carrier, (*head.modulators, each))
+            FormTerm(head.carrier, tuple(sorted((*head.modulators, each), key=self._find_place)))
             for name, modulators in self._modulators.items()
             for each in modulators
             if name not in head.variables and name not in head.carrier.without
@@ -113,8 +122,7 @@ class FormSearch:
         terms = longer if head.modulators else [head, *longer]
         if not terms:
             return _Weighed([], np.empty(0))
-        factors = [self._values[each.modulators[-1]] if each is not head else 1.0 for each in terms]
-        energy = np.column_stack([column * factor for factor in factors])
+        energy = np.column_stack([self._build_energy(term) for term in terms])
         size = SHARE * self._measured / np.maximum(np.abs(energy).sum(axis=0), 1e-300)
         forms = [
             UnknownForm(term, one, self._log_share[len(term.modulators)])
@@ -139,11 +147,11 @@ def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
 
 
 def _rank(found: Sequence[_Weighed]) -> list[UnknownForm]:
-    """Return the forms that are identifiable, the most probable first."""
-    rows = [
-        (odds, form)
+    """Return the forms that are identifiable, each once, the most probable first."""
+    rows = {
+        format_formula(form.term): (odds, form)
         for weighed in found
         for form, odds in zip(weighed.forms, weighed.odds.tolist(), strict=True)
         if np.isfinite(odds)
-    ]
-    return [form for _, form in sorted(rows, key=lambda row: -row[0])]
+    }
+    return [form for _, form in sorted(rows.values(), key=lambda row: -row[0])]

@@ -5,12 +5,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from socast.core.diagnose.inference.forms import ALIKE, KEPT, LEAST_DATES, FormSearch
+from socast.core.diagnose.forms.suggestion import format_formula
+from socast.core.diagnose.inference.form_search import ALIKE, KEPT, LEAST_DATES, FormSearch
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.inference.window_model import WindowModel
 from socast.core.diagnose.records import UNKNOWN
 from tests.support.inferences import infer
-from tests.support.synthetic_windows import gather_with_model, make_tables, make_unknown, make_windows
+from tests.support.synthetic_windows import (
+    compute_road_load_energy,
+    gather_with_model,
+    make_tables,
+    make_unknown,
+    make_windows,
+)
 
 VARIABLES = {"crowded": "occupants", "low battery": "charge", "gusty": "wind"}
 
@@ -69,9 +76,23 @@ def test_search_keeps_few_forms_of_the_same_kind_that_act_on_many_dates():
     for energy in columns.effects[:, len(columns.names) :].T:
         of_date = np.bincount(columns.date_of_day[columns.day], np.abs(energy))
         assert of_date.sum() ** 2 / (of_date**2).sum() >= LEAST_DATES
-    again = search.extend(once).columns  # nothing is kept twice
-    assert len({(*kind,) for kind in kinds}) <= len(columns.unknown)
-    assert len(again.unknown) == len(columns.unknown)
+    again = search.extend(once).columns
+    for each in (columns, again):
+        formulas = [format_formula(form.term) for form in each.unknown]
+        assert len(set(formulas)) == len(formulas)  # nothing is kept twice, whatever order its variables were tried in
+
+
+def test_no_form_reads_a_signal_for_which_another_stands():
+    """Without the temperature of the battery, that of the outside stands for it."""
+    table = make_windows()
+    cold = table["effect_inertia_positive"] * np.maximum(10.0 - table["ambient_c"], 0.0)
+    unknown = 0.06 * compute_road_load_energy(table).sum() / cold.sum() * cold.to_numpy()
+    rides, windows = make_tables(table, unknown=unknown)
+    seen, model = gather_with_model((rides, windows.assign(battery_temperature_c=np.nan)))
+    columns = FormSearch(seen).extend(WindowModel(gather_window_columns(seen, model))).columns
+    read = {name for form in columns.unknown for name in form.term.variables}
+    assert "ambient" in read
+    assert "pack_temperature" not in read
 
 
 def test_products_of_columns_are_those_of_the_sums_of_days(rng):
