@@ -7,6 +7,7 @@ Example: python -m socast.tools.bench.real_cars --ved ved/ --i3 i3/ --model3 mod
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -16,16 +17,18 @@ from threadpoolctl import threadpool_limits
 
 from socast.core.batch import Floats, Ints
 from socast.core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY
+from socast.core.diagnose.candidates import build_candidates
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import ANY, LinearModel
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
 from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.records import SpikeScore, SpikeScores
-from socast.tools.spikein.score import score_spikes
+from socast.tools.spikein.score import Study, score_spikes
 
 RECIPE: Final = "road_load_full_constant"
 """Recipe that `socast.fit_model` uses by default where no curve of the accessories is known."""
@@ -65,6 +68,15 @@ battery_voltage_v = { column = "voltage_v", unit = "V" }
 battery_current_a = { column = "current_a", unit = "A", sign = -1 }
 ambient_c = { column = "ambient_c", unit = "degC" }
 """
+
+
+def rank_by(method: str, study: Study) -> list[str]:
+    """Return the effects of a study as a method of the field ranks them."""
+    return BASELINES[method](study.selection.base, build_candidates(study.seen, study.model))[:LONGEST]
+
+
+METHODS: Final = {name: partial(rank_by, name) for name in BASELINES}
+"""Methods that are judged on the same effects."""
 
 
 class Car(NamedTuple):
@@ -224,7 +236,7 @@ def list_spikes(cars: Sequence[Car]) -> list[str]:
     effects = tuple(f"{name}{ending}" for name in EFFECTS for ending in ("", OTHER))
     rows, placebos = [], []
     for car in cars:
-        scores = score_spikes([car.recording], ScoreChoice(effects, SIZES))
+        scores = score_spikes([car.recording], ScoreChoice(effects, SIZES), methods=METHODS)
         shown = [one for one in scores.scores if one.visible and one.plausible]
         rows.append(
             [
@@ -235,6 +247,7 @@ def list_spikes(cars: Sequence[Car]) -> list[str]:
                 _count(shown, lambda one: one.new_rank == 1),
                 _count(shown, lambda one: one.rank == 1),
                 _count([one for one in shown if one.covered is not None], lambda one: bool(one.covered)),
+                *(f"{sum(one.methods[name] for one in shown)} of {len(shown)}" for name in METHODS),
             ]
         )
         placebos.append(f"- {car.name}: {_word_placebo(scores)}")
@@ -247,10 +260,13 @@ def list_spikes(cars: Sequence[Car]) -> list[str]:
         "first new name",
         "first name",
         "interval holds the truth",
+        *(f"{name}: first new name" for name in METHODS),
     ]
     note = (
         f"Known effects of {sizes} of the energy, put into the recordings by `socast spikein --score`, in all forms of "
-        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20."
+        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20. Other methods receive the same "
+        f"windows, without the terms of the model, and name at most {LONGEST} effects. "
+        f"{'; '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
     return [
         note,

@@ -77,6 +77,7 @@ class SpikeScore(Record, frozen=True):
         float | None,
         declare("Fall of the error by the named effect over that by the true energies. [1]", "of the way", "percent"),
     ] = None
+    methods: Annotated[dict[str, bool], declare("Other method -> whether its first new name is right.")] = {}
     others: Annotated[list[str], declare("Further names that the placebo does not have.", "also", "names")] = []
 
 

@@ -1,15 +1,17 @@
 """Score a diagnosis on a recording of the user: put known effects in, and compare what is named with and without."""
 
 import os
-from collections.abc import Callable, Sequence
-from math import inf
+from collections.abc import Callable, Mapping, Sequence
+from math import hypot, inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, parallel_config
+from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from socast.core import effects
@@ -27,6 +29,7 @@ from socast.core.effects.declaration import VARIANT
 from socast.core.errors import SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_names
+from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.core.stats.evidence import ClusterSums
@@ -55,6 +58,7 @@ class Study(NamedTuple):
     """Hold a diagnosis of tables: what is missing in all cars, and the findings within scopes."""
 
     seen: Windows
+    model: LinearModel
     inference: Inference
     selection: Selection
     scoped: tuple[LikelyCause, ...]
@@ -64,16 +68,13 @@ class Study(NamedTuple):
         everywhere = [(each.effect, "all cars") for each in self.selection.effects]
         return everywhere + [(each.effect, _word_scope(each)) for each in self.scoped]
 
-    def find_energy(self, names: Sequence[str], *, scoped: bool) -> tuple[Floats, float] | None:
-        """Return the energy of a named effect in each window [kWh], and the relative error of its size."""
+    def find_parts(self, names: Sequence[str], *, scoped: bool) -> list[tuple[Floats, float]]:
+        """Return the energy of each named effect in each window [kWh], and the relative error of its size."""
         if scoped:
             found = [(each.column, each.size.estimate) for each in self.scoped if each.effect in names]
         else:
             found = [(each.column[:, 0], each.size) for each in self.selection.effects if each.effect in names]
-        if not found:
-            return None
-        column, size = found[0]
-        return column * size.value, abs(size.error / size.value)
+        return [(column * size.value, abs(size.error / size.value)) for column, size in found]
 
 
 def _word_scope(found: LikelyCause) -> str:
@@ -91,11 +92,18 @@ def study_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> Study:
         clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
         selection = select_missing(BaseProjection(seen, model), inference, clusters)
     scoped = tuple(each for each in inference.findings if each.is_likely and each.family.is_scoped)
-    return Study(seen, inference, selection, scoped)
+    return Study(seen, model, inference, selection, scoped)
+
+
+Method = Callable[[Study], list[str]]
+"""Other method of naming: function that returns the effects of a study, the most probable first."""
 
 
 def score_spikes(
-    recordings: Sequence[Path], choice: ScoreChoice, report: Callable[[float], None] = lambda _: None
+    recordings: Sequence[Path],
+    choice: ScoreChoice,
+    report: Callable[[float], None] = lambda _: None,
+    methods: Mapping[str, Method] = MappingProxyType({}),
 ) -> SpikeScores:
     """Return how well a diagnosis finds known effects in recordings.
 
@@ -103,6 +111,8 @@ def score_spikes(
     ----------
     report : callable
         Function that receives the share of the work that is done.
+    methods : dict of str to callable
+        Other methods, which are judged on the effects that the data can show.
 
     Raises
     ------
@@ -114,7 +124,9 @@ def score_spikes(
         plain = placebos[None]
         spikes = choice.list_spikes()
         jobs = (
-            delayed(_score_case)(recordings, spike, _get_placebo(placebos, spike), Path(folder) / f"{number}.mcap")
+            delayed(_score_case)(
+                recordings, spike, _get_placebo(placebos, spike), Path(folder) / f"{number}.mcap", methods
+            )
             for number, spike in enumerate(spikes)
         )
         scores: list[SpikeScore] = []
@@ -170,11 +182,20 @@ def _make_tables(recordings: Sequence[Path]) -> tuple[pd.DataFrame, pd.DataFrame
     return rides, windows
 
 
-def _score_case(recordings: Sequence[Path], spike: Spike, placebo: Study, file: Path) -> SpikeScore | str:
+def _score_case(
+    recordings: Sequence[Path], spike: Spike, placebo: Study, file: Path, methods: Mapping[str, Method]
+) -> SpikeScore | str:
     """Return what is found of a spike, or why it cannot be put in."""
     try:
         write_spiked([McapSource(path) for path in recordings], spike, file)
-        return compare_studies(spike, placebo, study_tables(*_make_tables([file])))
+        spiked = study_tables(*_make_tables([file]))
+        score = compare_studies(spike, placebo, spiked)
+        if not (score.visible and score.plausible):
+            return score
+        right = _list_right_names(spike)
+        return replace(
+            score, methods={name: is_named_first(rank, placebo, spiked, right) for name, rank in methods.items()}
+        )
     except SocastError as error:
         return str(error)
     finally:
@@ -182,26 +203,30 @@ def _score_case(recordings: Sequence[Path], spike: Spike, placebo: Study, file: 
         file.with_name(f"{file.name}.truth.json").unlink(missing_ok=True)
 
 
+def _list_right_names(spike: Spike) -> tuple[str, ...]:
+    """Return the effects of the library that are right names for a spike."""
+    return SAME.get(spike.effect.partition("~")[0], get_right_names(spike.effect))
+
+
+def is_named_first(rank: Method, placebo: Study, spiked: Study, right: Sequence[str]) -> bool:
+    """Return whether the first name of a method that is right or not given for the placebo is right."""
+    earlier = set(rank(placebo)) - set(right)
+    return next((name in right for name in rank(spiked) if name not in earlier), False)
+
+
 def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
     """Return what a diagnosis finds of a spike, against that of the placebo."""
     scoped = bool(spike.vehicles) or spike.since_s is not None
-    plain = spike.effect.partition("~")[0]
-    right = SAME.get(plain, get_right_names(spike.effect))
+    right = _list_right_names(spike)
     truth = _subtract(spiked.seen, placebo.seen)
     evidence = _weigh_truth(placebo, truth) if len(truth) == len(placebo.seen.measured) else None
     form = _find_form(spiked, truth, right)
     names, before = spiked.list_names(), set(placebo.list_names())
     ours = [name for name in names if name[0] in right and (name[1] != "all cars") == scoped]
     new = [name for name in names if name in ours or name not in before]
-    found = spiked.find_energy(right, scoped=scoped)
-    ratio = error = None
-    if found is not None:
-        energy, relative = found
-        earlier = placebo.find_energy(right, scoped=scoped)
-        size = float(truth @ truth) * (1.0 if form is None else form[3])
-        whole = float(energy @ truth) / size
-        ratio = whole - (float(earlier[0] @ truth) / size if earlier and len(earlier[0]) == len(truth) else 0.0)
-        error = abs(whole) * relative
+    ratio = _compare_size(
+        truth, spiked.find_parts(right, scoped=scoped), placebo.find_parts(right, scoped=scoped), form
+    )
     variant, probability, estimate, causes, since = _read_finding(spiked, right, scoped=scoped)
     return SpikeScore(
         effect=spike.effect,
@@ -217,12 +242,28 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
         in_credible_set=bool(set(right) & set(list_credible(causes))),
         coefficient=None if estimate is None else describe_coefficient(effects.get(variant), estimate),
         true_coefficient=None if form is None else form[1],
-        ratio=ratio,
-        covered=None if ratio is None or error is None else _holds_one(Estimate(ratio, error, inf)),
+        ratio=None if ratio is None else ratio.value,
+        covered=None if ratio is None else _holds_one(ratio),
         found_since=since,
         way=_measure_way(spiked, truth, right) if not scoped else None,
         others=[f"{effect} ({where})" for effect, where in new if (effect, where) not in ours],
     )
+
+
+def _compare_size(
+    truth: Floats,
+    spiked: Sequence[tuple[Floats, float]],
+    placebo: Sequence[tuple[Floats, float]],
+    form: tuple[str, float, bool, float] | None,
+) -> Estimate | None:
+    """Return the energy of the right effects, less that of the placebo, over the true one, as windows show it. [1]"""
+    if not spiked:
+        return None
+    size = float(truth @ truth) * (1.0 if form is None else form[3])
+    before = sum(float(energy @ truth) / size for energy, _ in placebo if len(energy) == len(truth))
+    parts = [(float(energy @ truth) / size, relative) for energy, relative in spiked]
+    error = hypot(*(part * relative for part, relative in parts))
+    return Estimate(sum(part for part, _ in parts) - before, error, inf)
 
 
 def _holds_one(ratio: Estimate) -> bool:

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from socast.tools.spikein.score import is_named_first
 from tests.support.commands import called, refused
 from tests.support.paths import RECORDINGS
 
@@ -48,6 +49,19 @@ def test_page_and_terminal_show_the_outcomes(score):
     assert "Outcome by effect and size" in page
     assert "Energy of the effect over that of the cars [%]" in page
     assert "Without any effect put in, the diagnosis names" in text
+
+
+@pytest.mark.parametrize(
+    ("placebo", "spiked", "right"),
+    [
+        (["snow"], ["snow", "payload"], True),  # a name of the placebo is not new
+        (["payload"], ["payload"], True),  # unless it is right
+        ([], ["snow", "payload"], False),
+        ([], [], False),
+    ],
+)
+def test_other_method_is_judged_by_its_first_new_name(placebo, spiked, right):
+    assert is_named_first(lambda names: names, placebo, spiked, ["payload"]) is right
 
 
 @pytest.mark.parametrize(
