@@ -32,6 +32,8 @@ from socast.tools.spikein.score import Study, score_spikes
 
 RECIPE: Final = "road_load_full_constant"
 """Recipe that `socast.fit_model` uses by default where no curve of the accessories is known."""
+LUMPED: Final = "road_load_constant"
+"""Recipe whose coefficients hold the losses of the drivetrain, as the ratio `WHEELS` supposes."""
 FOLDS: Final = 18
 """Largest number of parts of the dates."""
 DRAWS: Final = 20
@@ -42,6 +44,8 @@ SPACE: Final = pd.Timedelta(minutes=2)
 """Least time between two drives of the Model 3, some of whose clocks overlap."""
 SIZES: Final = (0.03, 0.05)
 """Energies of the effects that are put in. [1]"""
+HALVES: Final = ("neither half", "one half", "both halves")
+"""In how many halves of the dates an effect is named again."""
 WHEELS: Final = 1.099
 """Energy at the battery over that at the wheels of the Model 3, by its dynamometer. [1]"""
 DYNAMOMETER: Final = {"A": 179.4, "C": 0.0235, "mass": 1919.0}
@@ -203,14 +207,14 @@ def _measure_few(car: Car, count: int) -> float:
 
 def list_coefficients(car: Car) -> list[str]:
     """Return the road load of the Model 3 from its road drives beside that of the dynamometer."""
-    model = fit_to_windows(RECIPE, car.rides, car.windows)
+    model = fit_to_windows(LUMPED, car.rides, car.windows)
     fit, names = model.fits[ANY], [term.name for term in model.terms]
     assert fit.covariance is not None  # the recipe computes it
     mass = float((car.rides["effect_rolling"] * 3.6e3 / GRAVITY / car.rides["distance_km"]).median())
     units = {
         "A": ("rolling", "N", float(car.rides["rolling_resistance"].iloc[0]) * mass * GRAVITY),
         "C": (
-            "aero_drag_wind",
+            "aero_drag",
             "N/(km/h)²",
             0.5 * STANDARD_AIR_DENSITY * float(car.rides["drag_area_m2"].iloc[0]) * KMH**2,
         ),
@@ -225,8 +229,9 @@ def list_coefficients(car: Car) -> list[str]:
         inside = "inside" if abs(value - truth) <= half else "outside"
         rows.append([f"{key}, {unit}", f"{value:,.4g} ± {half:,.2g}", f"{truth:,g}", inside])
     note = (
-        "Tesla Model 3: road load from its road drives, with 90 % intervals, and from the dynamometer. The tyres of "
-        f"its road drives are others. Energy at the battery counts {WHEELS} times that at the wheels."
+        f"Tesla Model 3: road load from its road drives (recipe `{LUMPED}`), with 90 % intervals, and from the "
+        f"dynamometer. The tyres of its road drives are others. Energy at the battery counts {WHEELS} times that at "
+        "the wheels, also while the car accelerates, where the losses are larger than on average: the mass holds them."
     )
     return [note, "", *write_table(["coefficient", "road drives", "dynamometer", "dynamometer in the interval"], rows)]
 
@@ -289,9 +294,10 @@ def _word_placebo(scores: SpikeScores) -> str:
     names = [
         f"`{one.effect}`{'' if one.where == 'all cars' else f' ({one.where})'} {100.0 * one.probability:.0f} %"
         f"{'' if one.coefficient.plausible else ', not plausible'}"
+        f"{'' if one.halves is None else f', in {HALVES[one.halves]} of the dates'}"
         for one in scores.placebo
     ]
-    return ", ".join(names) or "nothing"
+    return "; ".join(names) or "nothing"
 
 
 if __name__ == "__main__":
