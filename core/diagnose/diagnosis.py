@@ -271,6 +271,7 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
+        effective_dates=_count_dates(energy, seen),
         z=size.value / size.error,
         coefficient=coefficient,
         words=effect.in_words(size.value, size.ci95),
@@ -281,6 +282,12 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         ],
         partial_residual=compute_partial_residual(selection, finding),
     )
+
+
+def _count_dates(energy: Floats, seen: Windows) -> float | None:
+    """Return the number of dates that would hold an energy in equal parts. [1]"""
+    parts = np.bincount(seen.date, np.abs(energy))
+    return float(parts.sum()) ** 2 / float(parts @ parts) if parts.any() else None
 
 
 def _list_causes(finding: MissingEffect) -> list[CauseProbability]:

@@ -17,20 +17,6 @@ def find_leading(result: Diagnosis) -> NamedEffect | CarDeviation | None:
     return min((one for one in ranked if one), key=lambda one: not one.coefficient.plausible, default=None)
 
 
-def find_first_addition(result: Diagnosis) -> NamedEffect | None:
-    """Return the missing effect to add first: the first one of possible size whose gain is certain, else the first."""
-    certain = (one for one in result.missing if one.gain_ci95 and one.gain_ci95[0] > 0.0 and _is_possible(one))
-    return next(certain, result.leading)
-
-
-def _is_possible(one: NamedEffect) -> bool:
-    """Return whether the interval of a coefficient reaches its plausible range."""
-    coefficient = one.coefficient
-    if coefficient.ci95 is None or coefficient.low is None or coefficient.high is None:
-        return coefficient.plausible
-    return coefficient.ci95[0] <= coefficient.high and coefficient.ci95[1] >= coefficient.low
-
-
 def find_addable(result: Diagnosis, tried: Collection[str] = ()) -> NamedEffect | CarDeviation | None:
     """Return what to add first of what a term of a model can hold, without effects that were tried."""
     missing = [one for one in result.missing if one.effect not in tried]
@@ -40,5 +26,4 @@ def find_addable(result: Diagnosis, tried: Collection[str] = ()) -> NamedEffect 
         verdict=missing[0].effect if missing else None,
         deviations=[one for one in result.deviations if one.columns and one.effect not in tried],
     )
-    first = find_leading(left)
-    return find_first_addition(left) if isinstance(first, NamedEffect) else first
+    return find_leading(left)

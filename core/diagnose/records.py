@@ -98,6 +98,9 @@ class NamedEffect(Record, frozen=True):
     ] = []
     credible_set: Annotated[list[str], declare("Effects among which the missing one is in nine cases of ten.")] = []
     columns: Annotated[list[str], declare("Columns whose product is its energy per unit of the coefficient.")] = []
+    effective_dates: Annotated[
+        float | None, declare("Dates that hold its energy, each counted by its share. [1]", "dates", "two digits")
+    ] = None
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]")] = None
     words: Annotated[str, declare("Physical meaning of the coefficient.")] = ""
     equivalents: Annotated[list[str], declare("Power, mass and headwind of the same energy.")] = []
@@ -105,6 +108,11 @@ class NamedEffect(Record, frozen=True):
     partial_residual: PartialResidual = PartialResidual()
     command: Annotated[str | None, declare("Command that adds it.")] = None
     commands: Annotated[list[str], declare("Commands that add it and run it as a shadow.")] = []
+
+    @property
+    def has_uncertain_gain(self) -> bool:
+        """Whether held-out days do not show that it lowers the error of rides."""
+        return self.gain_ci95 is not None and self.gain_ci95[0] <= 0.0
 
     @property
     def name(self) -> str:

@@ -190,9 +190,11 @@ def _range(effect: str) -> tuple[float, float]:
 def select_missing(
     base: BaseProjection, inference: Inference, clusters: Sequence[ClusterSums], seed: int = 0, least_gain: float = 0.0
 ) -> Selection:
-    """Return the missing effects: plausible ones, then those that physics expects in every car, then implausible ones.
+    """Return the missing effects in the order in which to add them.
 
-    In each of these groups, the effect with the largest gain beside those before it comes next.
+    Those of a possible size whose gain is certain come first, then other plausible ones, then implausible ones. In each
+    of these groups those that physics expects in every car come last, and the effect with the largest gain beside those
+    before it comes next.
 
     Parameters
     ----------
@@ -205,29 +207,24 @@ def select_missing(
     computed beside the effects.
     """
     given = Selection(base, clusters, (), seed)
-    found = list_missing(inference)
+    left = list_missing(inference)
     ranked: list[MissingEffect] = []
-    for group in sorted({_get_group(each) for each in found}):
-        left = [each for each in found if _get_group(each) == group]
-        while left:
-            beside = given.keep(ranked)
-            with_gain = [replace(each, gain=beside.compute_gain(each)) for each in left]
-            best = max(range(len(left)), key=lambda at: with_gain[at].gain.value)
-            if with_gain[best].gain.value < least_gain and least_gain > 0.0:
-                break
-            ranked.append(with_gain[best])
-            left.pop(best)
+    while left:
+        beside = given.keep(ranked)
+        left = [replace(each, gain=beside.compute_gain(each)) for each in left]
+        if least_gain > 0.0:
+            left = [each for each in left if each.gain.value >= least_gain]
+        left.sort(key=_order)
+        ranked += left[:1]
+        left = left[1:]
     if not ranked:
         return given
     return Selection(base.reweight(np.column_stack([each.column for each in ranked])), clusters, tuple(ranked), seed)
 
 
-def _get_group(each: MissingEffect) -> tuple[bool, bool]:
-    """Return the group of an effect, the first one before the others: plausible, and not expected by physics."""
-    return not _is_plausible(each), each.expected
-
-
-def _is_plausible(each: MissingEffect) -> bool:
-    """Return whether the coefficient of an effect lies within its plausible range."""
+def _order(each: MissingEffect) -> tuple[bool, bool, bool, float]:
+    """Return a key that sorts effects into the order of `select_missing`."""
     low, high = _range(each.variant)
-    return low <= each.size.value <= high
+    least, most = each.size.interval
+    is_certain = each.gain.interval[0] > 0.0 and least <= high and most >= low
+    return not is_certain, not low <= each.size.value <= high, each.expected, -each.gain.value

@@ -28,6 +28,7 @@ from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.records import SpikeScore, SpikeScores
+from socast.tools.spikein.score import RECIPE as DIAGNOSED
 from socast.tools.spikein.score import Study, score_spikes
 
 RECIPE: Final = "road_load_full_constant"
@@ -48,8 +49,14 @@ HALVES: Final = ("neither half", "one half", "both halves")
 """In how many halves of the dates an effect is named again."""
 WHEELS: Final = 1.099
 """Energy at the battery over that at the wheels of the Model 3, by its dynamometer. [1]"""
-DYNAMOMETER: Final = {"A": 179.4, "C": 0.0235, "mass": 1919.0}
-"""Constant and quadratic road load [N, N/(km/h)^2] and mass [kg] of the Model 3, DOI 10.1016/j.patter.2024.100950."""
+DYNAMOMETER: Final = (179.4, 0.28, 0.0235)
+"""Road load A, B and C of the Model 3. [N, N/(km/h), N/(km/h)^2]"""
+MASS: Final = 1919.0
+"""Mass of the Model 3 on its dynamometer, DOI 10.1016/j.patter.2024.100950. [kg]"""
+SPEEDS: Final = (30.0, 60.0, 90.0, 120.0)
+"""Speeds at which road loads are compared. [km/h]"""
+P90: Final = 1.645
+"""Half width of a 90 % interval over the standard error. [1]"""
 MODEL3: Final = """[model3]
 mass_kg = 1745
 nominal_capacity_kwh = 60
@@ -90,6 +97,7 @@ class Car(NamedTuple):
     recording: Path
     rides: pd.DataFrame
     windows: pd.DataFrame
+    left_out_km: float = 0.0
 
     def fit(self, rows: Ints) -> LinearModel:
         """Return a model of some rides."""
@@ -136,8 +144,9 @@ def import_cars(keep: Path, ved: Path, i3: Path, model3: Path) -> Iterator[Car]:
         run_once(recording, "import", *words, "--out", recording)
         run_once(tables, "tables", recording, "--out", tables)
         rides = pd.read_parquet(tables / "rides.parquet")
-        rides = rides[rides["fit_for_training"] & rides["energy_kwh"].notna()].reset_index(drop=True)
-        yield Car(name, recording, rides, pd.read_parquet(tables / "windows.parquet"))
+        is_used = rides["fit_for_training"] & rides["energy_kwh"].notna()
+        windows, left_out = pd.read_parquet(tables / "windows.parquet"), float(rides["distance_km"][~is_used].sum())
+        yield Car(name, recording, rides[is_used].reset_index(drop=True), windows, left_out)
 
 
 def join_drives(files: Sequence[Path]) -> pd.DataFrame:
@@ -170,6 +179,7 @@ def list_errors(cars: Sequence[Car]) -> list[str]:
                 car.name,
                 f"{len(used)}",
                 f"{car.rides['distance_km'].sum():,.0f}",
+                f"{car.left_out_km:,.0f}",
                 f"{len(dates)}",
                 f"{np.mean(np.abs(error)):.3f}",
                 f"{100.0 * np.mean(np.abs(error) / np.abs(used)):.1f} %",
@@ -181,6 +191,7 @@ def list_errors(cars: Sequence[Car]) -> list[str]:
         "car",
         "drives",
         "km",
+        "km left out",
         "dates",
         "MAE, kWh",
         "MAPE",
@@ -189,7 +200,8 @@ def list_errors(cars: Sequence[Car]) -> list[str]:
     ]
     note = (
         f"Models of the recipe `{RECIPE}`. MAE, MAPE and wMAPE: each date held out in turn, or one of {FOLDS} parts of "
-        f"the dates. The last columns: fitted to some drives, evaluated on all others, mean of {DRAWS} draws."
+        f"the dates. The last columns: fitted to some drives, evaluated on all others, also of the same dates, mean of "
+        f"{DRAWS} draws. Left out: drives that are unfit for training, such as those of more than an hour."
     )
     return [*write_table(heads, rows), "", note]
 
@@ -206,34 +218,32 @@ def _measure_few(car: Car, count: int) -> float:
 
 
 def list_coefficients(car: Car) -> list[str]:
-    """Return the road load of the Model 3 from its road drives beside that of the dynamometer."""
+    """Return the road load and the mass of the Model 3 from its road drives beside those of the dynamometer."""
     model = fit_to_windows(LUMPED, car.rides, car.windows)
     fit, names = model.fits[ANY], [term.name for term in model.terms]
-    assert fit.covariance is not None  # the recipe computes it
+    covariance = np.asarray(fit.covariance)
+    first = car.rides.iloc[0]
     mass = float((car.rides["effect_rolling"] * 3.6e3 / GRAVITY / car.rides["distance_km"]).median())
-    units = {
-        "A": ("rolling", "N", float(car.rides["rolling_resistance"].iloc[0]) * mass * GRAVITY),
-        "C": (
-            "aero_drag",
-            "N/(km/h)²",
-            0.5 * STANDARD_AIR_DENSITY * float(car.rides["drag_area_m2"].iloc[0]) * KMH**2,
-        ),
-        "mass": ("inertia_positive", "kg", mass),
-    }
+    rolling = float(first["rolling_resistance"]) * mass * GRAVITY
+    drag = 0.5 * STANDARD_AIR_DENSITY * float(first["drag_area_m2"]) * KMH**2
+    a, b, c = DYNAMOMETER
+    wanted = [
+        (f"road load at {v:g} km/h, N", {"rolling": rolling, "aero_drag": drag * v**2}, a + b * v + c * v**2)
+        for v in SPEEDS
+    ]
+    wanted.append(("mass in acceleration, kg", {"inertia_positive": mass}, MASS))
     rows = []
-    for key, (name, unit, scale) in units.items():
-        at = names.index(name)
-        value = fit.coefficients[at] * scale / WHEELS
-        half = 1.645 * float(np.sqrt(np.asarray(fit.covariance)[at][at])) * scale / WHEELS
-        truth = DYNAMOMETER[key]
+    for what, parts, truth in wanted:
+        share = np.array([parts.get(name, 0.0) for name in names]) / WHEELS
+        value, half = float(share @ fit.coefficients), P90 * float(np.sqrt(share @ covariance @ share))
         inside = "inside" if abs(value - truth) <= half else "outside"
-        rows.append([f"{key}, {unit}", f"{value:,.4g} ± {half:,.2g}", f"{truth:,g}", inside])
+        rows.append([what, f"{value:,.4g} ± {half:,.2g}", f"{truth:,.4g}", inside])
     note = (
         f"Tesla Model 3: road load from its road drives (recipe `{LUMPED}`), with 90 % intervals, and from the "
         f"dynamometer. The tyres of its road drives are others. Energy at the battery counts {WHEELS} times that at "
         "the wheels, also while the car accelerates, where the losses are larger than on average: the mass holds them."
     )
-    return [note, "", *write_table(["coefficient", "road drives", "dynamometer", "dynamometer in the interval"], rows)]
+    return [note, "", *write_table(["quantity", "road drives", "dynamometer", "dynamometer in the interval"], rows)]
 
 
 def list_spikes(cars: Sequence[Car]) -> list[str]:
@@ -278,7 +288,7 @@ def list_spikes(cars: Sequence[Car]) -> list[str]:
         "",
         *write_table(heads, rows),
         "",
-        "What the diagnosis names without an added effect:",
+        f"What the diagnosis of a model of the recipe `{DIAGNOSED}` names without an added effect:",
         "",
         *placebos,
     ]

@@ -96,9 +96,11 @@ def tabulate_records(
     def make_cell(name: str, shown: Shown, place: int, record: Record) -> Cell:
         value = getattr(record, name)
         text = formats[shown.format](value)
-        limits = getattr(record, shown.interval, None) if shown.interval else None
-        half = f" ± {(limits[1] - limits[0]) / 2.0:.2g}" if limits else ""
-        return Cell(f"{text}{half}", strong=strong(name, place, value))
+        if limits := getattr(record, shown.interval, None) if shown.interval else None:
+            half = (limits[1] - limits[0]) / 2.0
+            share = text.removesuffix(" %")
+            text = f"{text} ± {half:.2g}" if share == text else f"{share} ± {100.0 * half:.2g} %"
+        return Cell(text, strong=strong(name, place, value))
 
     rows = tuple(
         Row(

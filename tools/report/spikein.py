@@ -62,9 +62,7 @@ def describe(result: SpikeScores) -> list[str]:
         lines.append("These data can show none of the effects at these sizes: try larger ones, or record more days.")
     if result.placebo:
         names = ", ".join(f"{each.effect} ({each.where})" for each in result.placebo)
-        lines.append(
-            f"Without any effect put in, the diagnosis names: {names}. These are causes of the cars themselves."
-        )
+        lines.append(f"Without any effect put in, the diagnosis names: {names}. Nobody put them in.")
     else:
         lines.append("Without any effect put in, the diagnosis names none.")
     return lines

@@ -83,7 +83,7 @@ def print_step(result: Diagnosis, step: int, first: NamedEffect | CarDeviation |
     print_heading(f"Step {step}", console)
     print_lines(episodes.describe_leading_episode(result), console)
     if first is None or isinstance(first, CarDeviation):
-        lines = ["No further effect is missing."] if first is None else deviations.describe_finding(first)
+        lines = [sentences.describe_end(result)] if first is None else deviations.describe_finding(first)
         print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
@@ -214,8 +214,9 @@ def _describe_remainder(result: Diagnosis, suggested: str | None) -> str:
 
 
 def _end_sentences(lines: Sequence[str]) -> str:
-    """Return lines as one text in which each ends with a stop."""
-    return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in lines)
+    """Return lines as one text in which each ends with a stop, items of a list as sentences."""
+    plain = (f"{line[2:3].upper()}{line[3:]}" if line.startswith("- ") else line for line in lines)
+    return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in plain)
 
 
 def _summarise_missing(result: Diagnosis) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation, name_deviating
 from socast.core.diagnose.gains import LEAST_GAIN
-from socast.core.diagnose.leading import find_first_addition, find_leading
+from socast.core.diagnose.leading import find_leading
 from socast.core.diagnose.records import (
     NONE,
     UNKNOWN,
@@ -53,6 +53,8 @@ REFIT_IS_NO_LOWER = (
     "less, and not that of whole rides. Other values of the same terms do not mend this model."
 )
 """Why the error of rides may rise although a model is refitted to them."""
+FEW_DATES = 3.5
+"""Number of dates up to which an effect that acts on them only may be another event of these dates."""
 MOST_BINS = 4
 """Number of biased bins above which the others are counted."""
 LEAST_BIAS = 5e-4
@@ -80,7 +82,7 @@ def describe_data(result: Diagnosis) -> list[str]:
     )
     lines = [rides, f"Energy measured by: {data.resolution}."]
     if data.left_out:
-        reasons = ", ".join(f"{format_count(n)} {reason.replace('_', ' ')}" for reason, n in data.left_out.items())
+        reasons = ", ".join(f"{reason.replace('_', ' ')} {format_count(n)}" for reason, n in data.left_out.items())
         lines.append(f"Excluded: {reasons}.")
     for status, why in UNTESTED.items():
         if names := [row.effect for row in result.tested if row.status == status]:
@@ -183,6 +185,8 @@ def describe_gain(one: NamedEffect) -> str:
     parts = [f"explains {format_percent(one.gain)}{interval} of the squared error of rides on held-out days"]
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
+    if (dates := one.effective_dates) is not None and dates < FEW_DATES:
+        parts.append(f"nearly all of it on {_plural(max(round(dates), 1), 'date')}")
     return ", ".join(parts)
 
 
@@ -251,7 +255,8 @@ def name_missing(one: NamedEffect, result: Diagnosis) -> str:
     """Return which effect is missing with its probability, such as `headwind is missing in all cars (100 %)`."""
     where = f" for {', '.join(one.scope)}" if one.scope else _word_cars(result)
     if not one.others:
-        return f"{one.effect} is missing{where} ({format_chance(one.probability)})"
+        doubt = ", with an uncertain gain" if one.has_uncertain_gain else ""
+        return f"{one.effect} is missing{where} ({format_chance(one.probability)}){doubt}"
     *names, last = [one.effect, *one.others]
     chances = describe_causes([each for each in one.causes if each.effect in one.credible_set])
     return f"{', '.join(names)} or {last} is missing{where}: these data do not tell them apart ({chances})"
@@ -320,7 +325,7 @@ def describe_missing_effect(one: NamedEffect) -> list[str]:
         *describe_rivals(one),
     ]
     if one.equivalents:
-        lines.append(f"equal in energy, on average, to {' or '.join(one.equivalents)}")
+        lines.append(f"equal in energy, while it acts, to {' or '.join(one.equivalents)}")
     return [line for line in lines if line]
 
 
@@ -375,6 +380,12 @@ def describe_unknown(one: UnknownCause) -> list[str]:
     return lines
 
 
+def describe_end(result: Diagnosis) -> str:
+    """Return why nothing further is added."""
+    names = ", ".join(one.effect for one in result.missing)
+    return f"Still suspected: {names}." if names else "No further effect is missing."
+
+
 def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]:
     """Return where the source of the form outside the library is."""
     if not result.unknown:
@@ -392,8 +403,8 @@ def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]
 
 def find_recommended(result: Diagnosis) -> str | None:
     """Return the effect to add in all cars first; None where nothing is missing in them, or a deviation comes first."""
-    addition = find_first_addition(result)
-    return addition.effect if addition and isinstance(find_leading(result), NamedEffect) else None
+    first = find_leading(result)
+    return first.effect if isinstance(first, NamedEffect) else None
 
 
 def describe_next_step(result: Diagnosis) -> list[str]:
@@ -403,7 +414,7 @@ def describe_next_step(result: Diagnosis) -> list[str]:
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
     """Return what to do about missing effects and deviations, in the order of the headline, with their commands."""
-    first, found = find_first_addition(result), find_leading_deviation(result.deviations)
+    first, found = result.leading, find_leading_deviation(result.deviations)
     leading = find_leading(result)
     if leading is None:
         return [_advise_without_effect(result)]
@@ -444,14 +455,15 @@ def _advise_without_effect(result: Diagnosis) -> str:
 
 def _list_doubts(one: NamedEffect) -> list[str]:
     """Return why an effect may be refused when it is added, or stand for another cause."""
-    limits = one.gain_ci95
     doubts = []
     if not one.coefficient.plausible:
         doubts.append("its coefficient is not plausible, so that it may stand for another cause")
     if one.gain is not None and one.gain < LEAST_GAIN:
         doubts.append(f"it explains less than {format_percent(LEAST_GAIN)} of the error, which socast add asks for")
-    elif limits and limits[0] <= 0.0:
+    elif one.has_uncertain_gain:
         doubts.append("its gain on held-out days is not certain")
+    if (dates := one.effective_dates) is not None and dates < FEW_DATES:
+        doubts.append(f"nearly all of it lies on {_plural(max(round(dates), 1), 'date')}")
     return doubts
 
 

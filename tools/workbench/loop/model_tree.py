@@ -170,7 +170,8 @@ class ModelTree:
 def _describe_last_addition(node: ModelNode) -> dict[str, Any]:
     """Return the effect that made a model of its parent, and the errors on held-out days before and after."""
     added = _find_last_addition(node.model) if node.parent else None
-    return {name: getattr(added, name, None) for name in ("effect", "mae_before_kwh", "mae_after_kwh")}
+    names = ("effect", "action", "outcome", "forced", "mae_before_kwh", "mae_after_kwh")
+    return {name: getattr(added, name, None) for name in names}
 
 
 def _count_attempts(model: LinearModel) -> dict[str, int]:

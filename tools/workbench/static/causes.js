@@ -81,7 +81,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
     const lines = record.verdict_sentences;
     put(verdict, 
       el("h2", {}, record.title),
-      el("p", {}, lines.join(" ")),
+      lines.map((line) => el("p", {}, line)),
       el("p", {}, record.next.join(" ")),
       record.held_out.rides > 0 && el("p", { class: "note small" }, `${count(record.held_out.rides, "ride")} of ${count(record.held_out.dates.length, "date")} are set aside; an added effect is evaluated on them.`),
       el("details", { class: "same" }, el("summary", {}, "What remains"), record.remainder.map((line) => el("p", { class: "small" }, line.replaceAll("->", "→")))),

@@ -4,9 +4,9 @@ import { chart } from "./chart.js";
 import { el, picture } from "./dom.js";
 import { count, number, quantity, signed } from "./format.js";
 import { choice, command, field, fill, heading, nextStep, openWorkspace, progress, put, query } from "./loop.js";
-import { coefficients, heldOut, outcomeOf } from "./step.js";
+import { coefficients, heldOut, outcomeChip } from "./step.js";
 
-const ORIGINS = { given: "given", fitted: "fitted to these rides", added: "effect added", found: "from the folder" };
+const ORIGINS = { given: "given", fitted: "fitted to these rides", found: "from the folder" };
 const VERDICTS = { better: "good", worse: "bad", undecided: "warn" };
 
 export function mount(root, first, context) {
@@ -46,7 +46,7 @@ export function mount(root, first, context) {
     if (!own.length) return null;
     return el("ul", {}, own.map((each) => el("li", {},
       el("a", { class: "node", href: context.link({ page: "models", model: each.name }), "aria-current": each.name === chosen ? "true" : null },
-        el("span", {}, el("strong", {}, each.effect ? `+ ${each.effect.replaceAll("_", " ")}` : each.name), " ", el("span", { class: "soft small" }, ORIGINS[each.origin])),
+        el("span", {}, el("strong", {}, each.effect ? `+ ${each.effect.replaceAll("_", " ")}` : each.name), " ", each.effect ? outcomeChip(each) : el("span", { class: "soft small" }, ORIGINS[each.origin])),
         each.effect && el("span", { class: "soft small" }, heldOut(each)),
         Object.entries(each.tried).map(([outcome, count]) => count > 0 && el("span", { class: "chip warn" }, `${count} ${outcome}`)).filter(Boolean)),
       branch(models, each.name, chosen))));
@@ -94,7 +94,7 @@ export function mount(root, first, context) {
       el("thead", {}, el("tr", {}, ["step", "result", "before, kWh", "after, kWh", "change, kWh"].map((words, i) => el("th", { class: i > 1 ? "number" : null, scope: "col" }, words)))),
       el("tbody", {}, steps.map((step, i) => el("tr", {},
         el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope.length ? ` (${step.scope.join(", ")})` : ""}`),
-        el("td", {}, el("span", { class: `chip ${outcomeOf(step)[1]}` }, outcomeOf(step)[0]), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
+        el("td", {}, outcomeChip(step), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
         el("td", { class: "number" }, number(step.mae_before_kwh, 4)),
         el("td", { class: "number" }, number(step.mae_after_kwh, 4)),
         el("td", { class: "number" }, `${signed(step.change_kwh?.value, 4)}${step.change_kwh?.ci95 ? ` ± ${number(step.change_kwh.ci95, 4)}` : ""}`))))));

@@ -26,6 +26,11 @@ export function outcomeOf({ action, outcome, forced }) {
   return [action ?? outcome, "warn"];
 }
 
+export function outcomeChip(step) {
+  const [words, colour] = outcomeOf(step);
+  return el("span", { class: `chip ${colour}` }, words);
+}
+
 // A table of the errors before and after by other ways to hold rides out, which check the step.
 export function errorTable(trial) {
   const rows = HELD_OUT.filter(([key]) => trial[key]).map(([key, words]) => {
@@ -53,20 +58,21 @@ export function coefficients(host, models) {
     if (!one) return "–";
     return one.ci95 === null && one.low !== null ? `${plain(one.value)} (${plain(one.low)} to ${plain(one.high)})` : estimate(one.value, one.ci95);
   };
-  const near = names.filter((name) => models.every((model) => Math.abs(find(model, name)?.value ?? 0) < 20));
+  const ranges = (name) => models.map((model) => find(model, name)?.range).find(Boolean);
+  const near = names.filter(ranges);
+  const place = (name, value) => Math.max(-0.08, Math.min(1.08, (value - ranges(name)[0]) / (ranges(name)[1] - ranges(name)[0])));
   const layers = models.map((model, m) => {
     const own = near.map((name, i) => [find(model, name), i]).filter(([one]) => one);
-    const low = own.map(([one]) => one.low ?? one.value);
-    const high = own.map(([one]) => one.high ?? one.value);
+    const low = own.map(([one, i]) => place(near[i], one.low ?? one.value));
+    const high = own.map(([one, i]) => place(near[i], one.high ?? one.value));
     const y = own.map(([, i]) => i + (models.length > 1 ? 0.32 * (m - 0.5) : 0));
     const colour = m === models.length - 1 ? "--blue" : "--line-strong";
     return [
       { type: "means", across: true, x: low.map((v, i) => (v + high[i]) / 2), y, ci: low.map((v, i) => (high[i] - v) / 2), size: 0.1, colour },
-      { type: "means", x: own.map(([one]) => one.value), y, colour, open: () => m < models.length - 1, name: model.name, tell: (i) => [own[i][0].term, model.name, `${show(own[i][0])} ${unitOf(own[i][0].unit)}`] },
+      { type: "means", x: own.map(([one, i]) => place(near[i], one.value)), y, colour, open: () => m < models.length - 1, name: model.name, tell: (i) => [own[i][0].term, model.name, `${show(own[i][0])} ${unitOf(own[i][0].unit)}`] },
     ];
   }).flat();
   const plot = el("div", {});
-  const ranges = (name) => models.map((model) => find(model, name)?.range).find(Boolean);
   const table = el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Coefficients" }, el("table", {},
     el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "coefficient"), models.map((model) => el("th", { class: "number", scope: "col" }, model.name)), el("th", { class: "number wide-only", scope: "col" }, "plausible"))),
     el("tbody", {}, names.map((name) => el("tr", {},
@@ -81,9 +87,9 @@ export function coefficients(host, models) {
     title: `Coefficients of ${models.map((model) => model.name).join(" and ")}`,
     summary: "The table below has the values.",
     height: 80 + 30 * near.length,
-    x: { label: "Coefficient with 95 % interval, in its unit" },
-    y: { label: "", names: near.map((name) => `${name.replaceAll("_", " ")}${unit(name) ? ` [${unit(name)}]` : ""}`) },
-    layers: [{ type: "rule", x: 0 }, ...layers],
+    x: { label: "Place in the plausible range, 95 % interval", domain: [-0.1, 1.1] },
+    y: { label: "", names: near.map((name) => name.replaceAll("_", " ")) },
+    layers: [{ type: "rule", x: 0 }, { type: "rule", x: 1 }, ...layers],
   });
 }
 
