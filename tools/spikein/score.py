@@ -68,14 +68,6 @@ class Study(NamedTuple):
         everywhere = [(each.effect, "all cars") for each in self.selection.effects]
         return everywhere + [(each.effect, _word_scope(each)) for each in self.scoped]
 
-    def find_parts(self, names: Sequence[str], *, scoped: bool) -> list[tuple[Floats, float]]:
-        """Return the energy of each named effect in each window [kWh], and the relative error of its size."""
-        if scoped:
-            found = [(each.column, each.size.estimate) for each in self.scoped if each.effect in names]
-        else:
-            found = [(each.column[:, 0], each.size) for each in self.selection.effects if each.effect in names]
-        return [(column * size.value, abs(size.error / size.value)) for column, size in found]
-
 
 def _word_scope(found: LikelyCause) -> str:
     """Return where a finding holds."""
@@ -224,9 +216,7 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
     names, before = spiked.list_names(), set(placebo.list_names())
     ours = [name for name in names if name[0] in right and (name[1] != "all cars") == scoped]
     new = [name for name in names if name in ours or name not in before]
-    ratio = _compare_size(
-        truth, spiked.find_parts(right, scoped=scoped), placebo.find_parts(right, scoped=scoped), form
-    )
+    ratio = _compare_size(spiked, truth, right, 1.0 if form is None else form[3], scoped=scoped)
     variant, probability, estimate, causes, since = _read_finding(spiked, right, scoped=scoped)
     return SpikeScore(
         effect=spike.effect,
@@ -250,20 +240,33 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
     )
 
 
-def _compare_size(
-    truth: Floats,
-    spiked: Sequence[tuple[Floats, float]],
-    placebo: Sequence[tuple[Floats, float]],
-    form: tuple[str, float, bool, float] | None,
-) -> Estimate | None:
-    """Return the energy of the right effects, less that of the placebo, over the true one, as windows show it. [1]"""
-    if not spiked:
+def _compare_size(study: Study, truth: Floats, right: Sequence[str], share: float, *, scoped: bool) -> Estimate | None:
+    """Return the energy that the right effects find of a truth over what they can find, None where none is named. [1]
+
+    Units: share [1].
+
+    Notes
+    -----
+    The same effects are fitted with and without the true energies, so that what the car itself has of them does not
+    count. The standard error is that of the sizes of the named effects.
+    """
+    inference = study.inference
+    model, columns = inference.model, inference.columns
+    gained = model.coefficients - model.shift(-truth).coefficients
+    parts = [
+        (model.known[:, at] * gained[model.locate_known()][at], each)
+        for at, each in enumerate(inference.known)
+        if each.effect in right and each.family.is_scoped == scoped
+    ] + [
+        (columns.common[:, one.at] * (model.scale[:-1] * gained)[model.shared + one.at], each)
+        for one, each in zip(columns.expected, inference.expected, strict=True)
+        if each.effect in right and each.is_likely and not scoped
+    ]
+    if not parts:
         return None
-    size = float(truth @ truth) * (1.0 if form is None else form[3])
-    before = sum(float(energy @ truth) / size for energy, _ in placebo if len(energy) == len(truth))
-    parts = [(float(energy @ truth) / size, relative) for energy, relative in spiked]
-    error = hypot(*(part * relative for part, relative in parts))
-    return Estimate(sum(part for part, _ in parts) - before, error, inf)
+    whole = float(truth @ truth) * share
+    error = hypot(*(float(each.column @ truth) / whole * each.size.estimate.error for _, each in parts))
+    return Estimate(sum(float(energy @ truth) for energy, _ in parts) / whole, error, inf)
 
 
 def _holds_one(ratio: Estimate) -> bool:

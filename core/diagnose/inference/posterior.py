@@ -181,6 +181,8 @@ class Inference:
         Number of families within scopes: cars, groups and dates.
     model : WindowModel
         The windows beside all likely findings.
+    known : tuple of LikelyCause
+        Those findings, in the order of the known columns of the model.
     """
 
     findings: tuple[LikelyCause, ...]
@@ -190,6 +192,7 @@ class Inference:
     unidentified: frozenset[str]
     scoped: int
     model: WindowModel
+    known: tuple[LikelyCause, ...]
 
     @property
     def columns(self) -> WindowColumns:
@@ -255,8 +258,8 @@ def infer_missing(
             findings.append(examiner.examine(number, of_family[number]))
         report(0.6 + 0.4 * (done + 1) / min(len(ranked), MOST))
     numbers = {id(family): number for number, family in enumerate(families)}
-    likely = [examiner.best[numbers[id(one.family)]] for one in findings if one.is_likely]
-    final = examiner.get_model(likely)
+    likely = {examiner.best[numbers[id(one.family)]]: one for one in findings if one.is_likely}
+    final = examiner.get_model(list(likely))
     names = columns.names
     everywhere = {family.who: number for number, family in enumerate(library) if not family.is_scoped}
     examined = {one.effect: one.probability for one in findings if one.family.who in everywhere}
@@ -270,6 +273,7 @@ def infer_missing(
         ),
         scoped=sum(family.is_scoped for family in families),
         model=final,
+        known=tuple(likely[at] for at in sorted(likely)),
     )
 
 

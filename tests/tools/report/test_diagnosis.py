@@ -53,7 +53,7 @@ def test_terminal_shows_all_parts_in_order():
     output = printed(make_diagnosis(), width=160)
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
-        "Excluded: 12 too short.",
+        "Excluded: too short 12.",
         "Not used: 140 rides of 2018-01-17, 2018-01-22, the final hold-out dates on which socast add evaluates.",
         (
             "The mean absolute error is 0.062 kWh per ride, 9.0 % of the mean energy of a ride; "
@@ -66,7 +66,7 @@ def test_terminal_shows_all_parts_in_order():
         "explains 3.1 % (95 % interval 2.0 % to 4.2 %)",
         "coefficient 0.00011 1/K, 95 % interval 9e-05 to 0.00013; plausible",
         "not distinguishable from air_density in these data (r = 0.83); to distinguish them, record slow drives over a",
-        "equal in energy, on average, to +1.2 m/s of headwind or +180 kg",
+        "equal in energy, while it acts, to +1.2 m/s of headwind or +180 kg",
         "2. brake_drag: brakes rub with 75 ± 25 N; only for vehicle=taxi-003",
         "- coefficient 75 N, 95 % interval 50 to 100; NOT plausible (range 0 to 60 N): it may stand for another cause",
         (
