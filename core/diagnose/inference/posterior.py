@@ -55,10 +55,10 @@ RELEARNED: Final = 15
 """Number of steps of the search for the spreads with and without a finding."""
 PRIOR_DAYS: Final = 4.0
 """Dates that the expected variance between dates counts as."""
-FORM_ERROR: Final = 0.15
+FORM_ERROR: Final = 0.1
 """Relative standard error of a size because the formula of an effect is not that of the car. [1]
 
-Measured with two formulas of each phenomenon, put into the drives of a Tesla Model 3.
+Typical of two formulas of one phenomenon, put into the drives of a Tesla Model 3.
 """
 
 
