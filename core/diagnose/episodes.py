@@ -67,6 +67,8 @@ LEAST_FREEDOM: Final = 3.0
 """Degrees of freedom below which the variance of Student's t is not computed. [1]"""
 PRIOR: Final = 10.0
 """Number of rides or vehicle-days by which the variance of a car is drawn to that of all cars."""
+SEEN: Final = 0.25
+"""Least power of an episode by the model as given over that after refitting; less is a matter of the refit."""
 LEAST_RIDES: Final = 3
 """Number of rides that an episode holds at least; a single ride is no property of a date."""
 HOURS: Final = 24
@@ -155,11 +157,20 @@ def find_episodes(base: BaseProjection, candidates: Candidates) -> tuple[list[Ep
                 break
             fair, beside, known = _refit_beside(base, candidates, hours.select(best))
         episode = _describe(fair, beside, hours, best, known)
-        if episode.share < LEAST_SHARE:
+        if episode.share < LEAST_SHARE or _measure_as_given(base, episode) < SEEN * abs(episode.power):
             break
         found.append(episode)
         base = beside
     return found, base
+
+
+def _measure_as_given(base: BaseProjection, episode: Episode) -> float:
+    """Return by how much the model as given misses the power of an episode more than elsewhere, in its sign. [kW]"""
+    windows, rows = base.windows, episode.rows
+    missed, hours = windows.measured - windows.predicted, get_numbers(windows.table, "duration_s") / 3600.0
+    others = ~rows & np.isin(windows.vehicle, windows.vehicle[rows])
+    there, elsewhere = (missed[at].sum() / max(hours[at].sum(), 1e-300) for at in (rows, others))
+    return float(np.sign(episode.power) * (there - elsewhere))
 
 
 def _refit_beside(
