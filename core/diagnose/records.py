@@ -22,7 +22,7 @@ class EstimatedCoefficient(Record, frozen=True):
     unit: str = "1"
     low: Annotated[float | None, declare("Lower end of the plausible range, in `unit`.")] = None
     high: Annotated[float | None, declare("Upper end of the plausible range, in `unit`.")] = None
-    plausible: Annotated[bool, declare("Whether the value lies in the plausible range.")] = True
+    plausible: Annotated[bool, declare("Whether its interval reaches the plausible range.")] = True
 
 
 class CauseProbability(Record, frozen=True):

@@ -192,7 +192,7 @@ def select_missing(
 ) -> Selection:
     """Return the missing effects in the order in which to add them.
 
-    Those of a possible size whose gain is certain come first, then other plausible ones, then implausible ones. In each
+    Plausible ones whose gain is certain come first, then other plausible ones, then implausible ones. In each
     of these groups those that physics expects in every car come last, and the effect with the largest gain beside those
     before it comes next.
 
@@ -226,5 +226,6 @@ def _order(each: MissingEffect) -> tuple[bool, bool, bool, float]:
     """Return a key that sorts effects into the order of `select_missing`."""
     low, high = _range(each.variant)
     least, most = each.size.interval
-    is_certain = each.gain.interval[0] > 0.0 and least <= high and most >= low
-    return not is_certain, not low <= each.size.value <= high, each.expected, -each.gain.value
+    is_plausible = least <= high and most >= low
+    is_certain = is_plausible and each.gain.interval[0] > 0.0
+    return not is_certain, not is_plausible, each.expected, -each.gain.value

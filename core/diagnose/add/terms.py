@@ -119,13 +119,14 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
 
 def describe_coefficient(declared: Effect, estimate: Estimate) -> EstimatedCoefficient:
     """Return the record of a coefficient."""
+    begin, end = estimate.interval
     return EstimatedCoefficient(
         value=estimate.value,
-        ci95=make_interval(*estimate.interval),
+        ci95=make_interval(begin, end),
         unit=declared.unit,
         low=declared.low,
         high=declared.high,
-        plausible=declared.low <= estimate.value <= declared.high,
+        plausible=begin <= declared.high and end >= declared.low,
     )
 
 

@@ -35,6 +35,8 @@ def describe_coefficient(coefficient: EstimatedCoefficient) -> str:
     words = f"coefficient {value:.3g}{unit}{interval}"
     if low is not None and high is not None:
         expected = f"range {low:g} to {high:g}{unit}"
-        doubt = f"NOT plausible ({expected}): it may stand for another cause"
-        words += f"; plausible ({expected})" if coefficient.plausible else f"; {doubt}"
+        if not coefficient.plausible:
+            words += f"; NOT plausible ({expected}): it may stand for another cause"
+        else:
+            words += f"; {'plausible' if low <= value <= high else 'plausible within its interval'} ({expected})"
     return format_minus(words)
