@@ -27,7 +27,7 @@ UNKNOWN_NOTE: Final = (
 )
 """What the forms outside the library are."""
 MISSING_NOTE: Final = (
-    "Plausible ones first, then by gain, each beside the others. Gain: reduction of the squared error that the terms "
+    "In the order in which to add them. Gain, beside those before it: reduction of the squared error that the terms "
     "of the model cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
     "Probability: that the effect is missing, whatever else is. Or else: other effects that explain the same; together "
     "they hold 90 % of the probability."
