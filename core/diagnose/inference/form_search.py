@@ -36,7 +36,7 @@ EXTENDED: Final = (6, 3)
 """Numbers of forms that are tried with a second and with a third variable."""
 
 
-class _Weighed(NamedTuple):
+class _Scores(NamedTuple):
     """Hold forms, and the log odds of each against none."""
 
     forms: list[UnknownForm]
@@ -44,7 +44,7 @@ class _Weighed(NamedTuple):
 
 
 class FormSearch:
-    """Provide the forms on some windows.
+    """Search for forms that may explain some windows.
 
     Parameters
     ----------
@@ -69,20 +69,21 @@ class FormSearch:
         }
         self._carriers = {carrier.name: carrier.energy(table) for carrier in CARRIERS}
         sizes = [len(each) for each in self._modulators.values()]
+        # a carrier has so many forms of at most one variable, of two, and of three; they share 1/2, 1/4 and 1/8
         numbers = [1 + sum(sizes), *(sum(map(prod, combinations(sizes, of))) for of in range(2, len(EXTENDED) + 2))]
         shares = [log(0.5 ** (at + 1) / (len(CARRIERS) * max(number, 1))) for at, number in enumerate(numbers)]
-        self._log_share = [shares[0], *shares]  # by the number of variables
+        self._log_share = [shares[0], *shares]  # by the number of variables, from none on
 
     def extend(self, model: WindowModel) -> WindowModel:
         """Return the model with the best forms beside what it knows among the columns that may be missing."""
         columns = model.columns
-        found = [self._weigh(model, FormTerm(carrier)) for carrier in CARRIERS]
+        found = [self._score_longer(model, FormTerm(carrier)) for carrier in CARRIERS]
         for variables, extended in enumerate(EXTENDED, 1):
             heads: dict[tuple[str, frozenset[str]], FormTerm] = {}
             for form in _rank(found):
                 if len(form.term.modulators) == variables and len(heads) < extended:
                     heads.setdefault((form.term.carrier.name, form.term.variables), form.term)
-            found += [self._weigh(model, head) for head in heads.values()]
+            found += [self._score_longer(model, head) for head in heads.values()]
         known = {format_formula(form.term) for form in columns.unknown}
         alike: Counter[tuple[str, frozenset[str]]] = Counter()
         chosen = []
@@ -90,7 +91,8 @@ class FormSearch:
             key = form.term.carrier.name, form.term.variables
             if alike[key] < ALIKE and alike.total() < KEPT:
                 alike[key] += 1
-                chosen += [form] if format_formula(form.term) not in known else []
+                if format_formula(form.term) not in known:
+                    chosen.append(form)
         energies = [self._build_energy(form.term) for form in chosen]
         return model.replace_columns(
             replace(
@@ -111,7 +113,7 @@ class FormSearch:
         """Return the place of the variable of a modulator, so that equal forms have equal formulas."""
         return list(self._modulators).index(modulator.variable.name)
 
-    def _weigh(self, model: WindowModel, head: FormTerm) -> _Weighed:
+    def _score_longer(self, model: WindowModel, head: FormTerm) -> _Scores:
         """Return a form without variables and those with one variable more, or only these if it has a variable."""
         longer = [
             FormTerm(head.carrier, tuple(sorted((*head.modulators, each), key=self._find_place)))
@@ -121,7 +123,7 @@ class FormSearch:
         ]
         terms = longer if head.modulators else [head, *longer]
         if not terms:
-            return _Weighed([], np.empty(0))
+            return _Scores([], np.empty(0))
         energy = np.column_stack([self._build_energy(term) for term in terms])
         size = SHARE * self._measured / np.maximum(np.abs(energy).sum(axis=0), 1e-300)
         forms = [
@@ -130,11 +132,19 @@ class FormSearch:
         ]
         odds = _compute_evidence(model, energy * size) + np.array([form.log_share for form in forms])
         dates = count_dates(np.abs(energy).T, model.columns.date_of_day[model.columns.day])
-        return _Weighed(forms, np.where(dates < LEAST_DATES, -np.inf, odds))
+        return _Scores(forms, np.where(dates < LEAST_DATES, -np.inf, odds))
 
 
 def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
-    """Return the log evidence of each form alone; minus infinity where a free base could explain it."""
+    """Return the log evidence of each form alone; minus infinity where a free base could explain it.
+
+    Units: energy [kWh].
+
+    Notes
+    -----
+    With the factor L of the system of the model, I + XᵀX/σ² = L Lᵀ, and its columns Xᵀx/σ² of a form x, the form off the
+    model has the squared length xᵀx/σ² - |L⁻¹Xᵀx/σ²|², and its product with the energy follows in the same way.
+    """
     size = model.size
     raw, beside = model.multiply(energy)
     lower = np.linalg.cholesky(np.eye(size) + model.total[:size, :size])
@@ -146,12 +156,12 @@ def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
     return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, positive=False), -np.inf)
 
 
-def _rank(found: Sequence[_Weighed]) -> list[UnknownForm]:
+def _rank(found: Sequence[_Scores]) -> list[UnknownForm]:
     """Return the forms that are identifiable, each once, the most probable first."""
     rows = {
         format_formula(form.term): (odds, form)
-        for weighed in found
-        for form, odds in zip(weighed.forms, weighed.odds.tolist(), strict=True)
+        for scores in found
+        for form, odds in zip(scores.forms, scores.odds.tolist(), strict=True)
         if np.isfinite(odds)
     }
     return [form for _, form in sorted(rows.values(), key=lambda row: -row[0])]
