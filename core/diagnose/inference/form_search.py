@@ -142,8 +142,8 @@ def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
 
     Notes
     -----
-    With the factor L of the system of the model, I + XᵀX/σ² = L Lᵀ, and its columns Xᵀx/σ² of a form x, the form off the
-    model has the squared length xᵀx/σ² - |L⁻¹Xᵀx/σ²|², and its product with the energy follows in the same way.
+    With I + XᵀX/σ² = L Lᵀ of the columns X of the model, a form x off the model has the squared length
+    xᵀx/σ² - |L⁻¹Xᵀx/σ²|². Its product with the energy follows in the same way.
     """
     size = model.size
     raw, beside = model.multiply(energy)
