@@ -82,7 +82,8 @@ def survey_columns(seen: ColumnResiduals) -> list[dict[str, Any]]:
         For each `column` its `bins` (see `bin_residual`), each with `q`, the rate of false discoveries if all bins of
         all columns that are at least as significantly off zero were reported; `outside`, the number of bins `of` all
         with an interval for which this rate is below `SIGNIFICANCE`; `spread`, the root mean square of the means beyond
-        what their standard errors cause; and `q`, the rate for columns that vary. The largest spread comes first.
+        what their standard errors cause; and `q`, the rate for columns that vary. Columns with a bin off zero come
+        first, then those with the largest spread.
 
     Notes
     -----
@@ -107,7 +108,7 @@ def survey_columns(seen: ColumnResiduals) -> list[dict[str, Any]]:
     for chart, q in zip(charts, adjust_false_discovery(np.array(p)).tolist(), strict=True):
         chart["q"] = q
     _adjust_bins(charts)
-    return sorted(charts, key=lambda chart: -chart["spread"])
+    return sorted(charts, key=lambda chart: (not chart["outside"], -chart["spread"]))
 
 
 def _adjust_bins(charts: list[dict[str, Any]]) -> None:

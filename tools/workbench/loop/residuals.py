@@ -100,7 +100,7 @@ def survey_residuals(workspace: Workspace, node: ModelNode, level: str, text: st
     """Return the mean residual along every column, for a page of small charts.
 
     Each chart has `outside`, the number of bins whose interval excludes zero, and `spread`, the root mean square of the
-    means beyond what their standard errors cause. The largest spread comes first.
+    means beyond what their standard errors cause. Those with a mean off zero come first, then the largest spread.
     """
     seen = read_residuals(workspace, node, level, text)
     return {"unit": seen.unit, "rows": len(seen.value), "charts": survey_columns(seen)}

@@ -46,6 +46,7 @@ function makeView(root, { state: first, model, workspace, rides, step, context }
   const located = [];
   let survey = null;
   const surveyBox = el("div", {});
+  const surveyNote = el("p", { class: "note small" });
   const controls = el("div", { class: "row" });
   const charts = el("div", {});
   const filters = el("div", {});
@@ -64,7 +65,8 @@ function makeView(root, { state: first, model, workspace, rides, step, context }
       nextStep("pick a chart to see the residual along that column, then ask", context.link({ page: "causes", model: state.model }), "what is missing"),
       el("section", { class: "card", "aria-label": "Survey" },
         el("div", { class: "card-head" }, el("h2", {}, "The residual along each column"), field("Mean over", "level", choice(LEVELS, level(), (value) => context.navigate({ level: value })))),
-        el("p", { class: "note small" }, "Shaded: 95 % intervals of the means. Charts with the largest differences beyond chance come first."),
+        el("p", { class: "note small" }, "Shaded: 95 % intervals of the means. Charts with means off zero come first, then those with the largest differences."),
+        surveyNote,
         surveyBox),
       el("section", { class: "card", "aria-label": "Explorer", id: "explorer" }, el("div", { class: "card-head" }, el("h2", {}, "Explorer"), controls), charts, filters),
       el("section", { class: "card", "aria-label": "Slices" }, el("h2", {}, "Slices with another bias"), slices),
@@ -80,6 +82,7 @@ function makeView(root, { state: first, model, workspace, rides, step, context }
     const sizes = [...survey.charts, ...(earlier?.charts ?? [])].map(({ bins }) => Math.max(...bins.mean.filter((_, i) => bins.ci95[i] !== null).map(Math.abs))).sort((a, b) => a - b);
     const most = 1.6 * (sizes[Math.floor(0.85 * (sizes.length - 1))] ?? 1) || 1;
     const chosen = state.x ?? survey.charts[0]?.column.key;
+    put(surveyNote, survey.charts.length && survey.charts.every((each) => !each.outside) && "No mean is off zero beyond chance: the location of the error, below, says between what it differs.");
     put(surveyBox, survey.charts.length
       ? el("div", { class: "survey" }, survey.charts.map((each) => el("button", {
         type: "button",
