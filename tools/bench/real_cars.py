@@ -121,12 +121,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given.keep.mkdir(parents=True, exist_ok=True)
     with threadpool_limits(1):
         cars = list(import_cars(given.keep, given.ved, given.i3, given.model3))
-        lines = [*list_errors(cars), "", *list_coefficients(cars[-1])]
-    lines += ["", *list_spikes(cars)]
+        errors = measure_errors(cars)
+        lines = [*list_errors(errors), "", *list_coefficients(cars[-1])]
+    spikes, values = list_spikes(cars)
+    lines += ["", *spikes]
+    values |= list_values(errors)
     print("\n".join(lines))
     if given.publish:
         words = "--ved ved/ --i3 i3/ --model3 model3/ --keep build/real --publish"
-        publish("real-cars", f"python -m socast.tools.bench.real_cars {words}", lines)
+        publish("real-cars", f"python -m socast.tools.bench.real_cars {words}", lines, values)
 
 
 def import_cars(keep: Path, ved: Path, i3: Path, model3: Path) -> Iterator[Car]:
@@ -163,8 +166,8 @@ def join_drives(files: Sequence[Path]) -> pd.DataFrame:
     return pd.concat(drives).drop(columns=["time_s", "gear", "charged_kwh", "discharged_kwh"])
 
 
-def list_errors(cars: Sequence[Car]) -> list[str]:
-    """Return the table of errors."""
+def measure_errors(cars: Sequence[Car]) -> list[list[str]]:
+    """Return the row of each car in the table of errors."""
     rows = []
     for car in cars:
         used = car.rides["energy_kwh"].to_numpy(dtype=np.float64)
@@ -187,6 +190,18 @@ def list_errors(cars: Sequence[Car]) -> list[str]:
                 *(few + ["too few drives"] * len(FEW))[: len(FEW)],
             ]
         )
+    return rows
+
+
+def list_values(rows: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Return the errors of the Model 3 for the table of results."""
+    name, drives, *_, mape, _, from_few, _ = rows[-1]
+    figure = f"{mape}; fitted to {FEW[0]} other drives {from_few}"
+    return {"error": figure, "error_on": f"{drives} road drives of a {name}, dates held out"}
+
+
+def list_errors(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the table of errors."""
     heads = [
         "car",
         "drives",
@@ -246,20 +261,21 @@ def list_coefficients(car: Car) -> list[str]:
     return [note, "", *write_table(["quantity", "road drives", "dynamometer", "dynamometer in the interval"], rows)]
 
 
-def list_spikes(cars: Sequence[Car]) -> list[str]:
+def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
     """Return how many known effects the diagnosis names in each car, and what it names without them."""
     effects = tuple(f"{name}{ending}" for name in EFFECTS for ending in ("", OTHER))
-    rows, placebos = [], []
+    rows, placebos, every = [], [], list[SpikeScore]()
     for car in cars:
         scores = score_spikes([car.recording], ScoreChoice(effects, SIZES), methods=METHODS)
         shown = [one for one in scores.scores if one.visible and one.plausible]
+        every += shown
         rows.append(
             [
                 car.name,
                 f"{len(scores.scores)}",
                 f"{len(shown)}",
-                _count(shown, lambda one: one.rank is not None),
-                _count(shown, lambda one: one.new_rank == 1),
+                _count(shown, _is_named),
+                _count(shown, _is_first),
                 _count(shown, lambda one: one.rank == 1),
                 _count([one for one in shown if one.covered is not None], lambda one: bool(one.covered)),
                 *(f"{sum(one.methods[name] for one in shown)} of {len(shown)}" for name in METHODS),
@@ -283,15 +299,22 @@ def list_spikes(cars: Sequence[Car]) -> list[str]:
         f"windows, without the terms of the model, and name at most {LONGEST} effects. "
         f"{'; '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
-    return [
-        note,
-        "",
-        *write_table(heads, rows),
-        "",
-        f"What the diagnosis of a model of the recipe `{DIAGNOSED}` names without an added effect:",
-        "",
-        *placebos,
-    ]
+    values = {
+        "named": f"{_count(every, _is_named)}, as the first new name {_count(every, _is_first)}",
+        "named_on": f"effects of {sizes} of the energy put into drives of {len(cars)} real cars, visible",
+    }
+    title = f"What the diagnosis of a model of the recipe `{DIAGNOSED}` names without an added effect:"
+    return [note, "", *write_table(heads, rows), "", title, "", *placebos], values
+
+
+def _is_named(one: SpikeScore) -> bool:
+    """Return whether an effect is named."""
+    return one.rank is not None
+
+
+def _is_first(one: SpikeScore) -> bool:
+    """Return whether an effect is the first name that the placebo does not have."""
+    return one.new_rank == 1
 
 
 def _count(scores: Sequence[SpikeScore], belongs: Callable[[SpikeScore], bool]) -> str:
