@@ -8,6 +8,7 @@ Example: python -m socast.tools.bench.real_cars --ved ved/ --i3 i3/ --model3 mod
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from math import log
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -27,7 +28,7 @@ from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice
-from socast.tools.spikein.records import SpikeScore, SpikeScores
+from socast.tools.spikein.records import VISIBLE, SpikeScore, SpikeScores
 from socast.tools.spikein.score import RECIPE as DIAGNOSED
 from socast.tools.spikein.score import Study, score_spikes
 
@@ -275,6 +276,7 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
                 f"{len(scores.scores)}",
                 f"{len(shown)}",
                 _count(shown, _is_named),
+                _count([one for one in shown if (one.form_evidence or 0.0) > log(VISIBLE)], _is_named),
                 _count(shown, _is_first),
                 _count(shown, lambda one: one.rank == 1),
                 _count([one for one in shown if one.covered is not None], lambda one: bool(one.covered)),
@@ -288,6 +290,7 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
         "put in",
         "visible and plausible",
         "named",
+        "named, if visible by a formula of the library",
         "first new name",
         "first name",
         "interval holds the truth",
@@ -295,8 +298,9 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
     ]
     note = (
         f"Known effects of {sizes} of the energy, put into the recordings by `socast spikein --score`, in all forms of "
-        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20. Other methods receive the same "
-        f"windows, without the terms of the model, and name at most {LONGEST} effects. "
+        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20; by a formula of the library: "
+        "that of the formula that resembles the effect most, which is not the one put in. Other methods receive "
+        f"the same windows, without the terms of the model, and name at most {LONGEST} effects. "
         f"{'; '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
     values = {

@@ -1,6 +1,7 @@
 """Show how well a diagnosis finds known effects in a recording: in the terminal, and as a page."""
 
 from collections.abc import Sequence
+from math import log
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,7 @@ from socast.tools.report.evaluation.terminal import print_section
 from socast.tools.report.figure_style import apply_layout, escape_label, get_style
 from socast.tools.report.page import escape_text, render_document, save
 from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
-from socast.tools.spikein.records import FoundShare, PlaceboName, SpikeScore, SpikeScores
+from socast.tools.spikein.records import VISIBLE, FoundShare, PlaceboName, SpikeScore, SpikeScores
 
 TITLE: Final = "Known effects put into a recording"
 FOUND: Final = "found"
@@ -25,6 +26,7 @@ OUTCOMES: Final = (
     ("named first", "circle"),
     ("named", "diamond"),
     ("not named", "x"),
+    ("not named: no formula of the library shows it here", "x-open"),
     ("not visible in these data", "circle-open"),
 )
 """Outcomes of a spike, the best first, with the symbols of the figure."""
@@ -160,14 +162,19 @@ def judge(score: SpikeScore) -> str:
     """Return the outcome of a spike, one of `OUTCOMES`."""
     if score.new_rank is not None:
         return OUTCOMES[0][0] if score.new_rank == 1 else OUTCOMES[1][0]
-    return OUTCOMES[2][0] if score.visible and score.plausible else OUTCOMES[3][0]
+    if not score.visible:
+        return OUTCOMES[4][0]
+    return OUTCOMES[2][0] if score.plausible and (score.form_evidence or 0.0) > log(VISIBLE) else OUTCOMES[3][0]
 
 
 def _illustrate(result: SpikeScores, key: str) -> list[Illustration]:
     """Return the figure of a section."""
     if key != FOUND or not result.scores:
         return []
-    caption = "Each effect at each size that was put in: whether it is named first, named, not named, or not visible."
+    caption = (
+        "Each effect at each size that was put in: whether it is named first, named, not named, or not visible; "
+        "and where the true energies are visible, but not the formula of the library that resembles them most."
+    )
     return [Illustration("spikein-outcomes", "Outcome by effect and size", caption, draw_outcomes(result.scores))]
 
 

@@ -1,9 +1,12 @@
 """Declare the truth of a recording with a known effect in it, and what a diagnosis finds of it."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.records import ConfidenceInterval, Record, declare
+
+VISIBLE: Final = 20.0
+"""Likelihood ratio from which data can show an effect. [1]"""
 
 
 class SpikedDrive(Record, frozen=True):
@@ -55,6 +58,10 @@ class SpikeScore(Record, frozen=True):
         bool, declare("Whether the likelihood ratio of the true energies, against the placebo, exceeds 20.")
     ] = False
     evidence: Annotated[float | None, declare("Logarithm of that ratio.", "evidence", "score")] = None
+    form_evidence: Annotated[
+        float | None,
+        declare("The same of the formula of the library that resembles it most.", "evidence of the formula", "score"),
+    ] = None
     plausible: Annotated[
         bool, declare("Whether an effect of the library explains it with a coefficient in its plausible range.")
     ] = False

@@ -38,20 +38,35 @@ from socast.stream.mcap_reader import McapSource
 from socast.tools.simulator.right_names import get_right_names
 from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import NEEDS_WEATHER, write_spiked
-from socast.tools.spikein.records import FoundShare, PlaceboName, SpikeScore, SpikeScores
+from socast.tools.spikein.records import VISIBLE, FoundShare, PlaceboName, SpikeScore, SpikeScores
 from socast.tools.spikein.spike import Spike
 from socast.tools.terminal.ride_source import tabulate
 
 RECIPE: Final = "road_load_constant"
 """Recipe of the diagnosed model."""
-VISIBLE: Final = 20.0
-"""Likelihood ratio from which data can show an effect."""
 FAINT: Final = 1e-5
 """Size of the effect of a placebo that has the same made-up weather. [1]"""
 ALIKE: Final = 0.4
 """Least correlation of an effect of the library with what was put in for it to be its name."""
 SAME: Final = {"tyre_pressure": ("tyre_pressure", "brake_drag"), "brake_drag": ("brake_drag", "tyre_pressure")}
 """Effects that have one column in a car of constant mass."""
+
+
+class Form(NamedTuple):
+    """Hold the form of the library that resembles what was put in most.
+
+    Parameters
+    ----------
+    energy : (n,) float
+        Its energy in each window with the coefficient that resembles the truth. [kWh]
+    likeness : float
+        Share of the squared truth that it explains. [1]
+    """
+
+    coefficient: float
+    plausible: bool
+    energy: Floats
+    likeness: float
 
 
 class Study(NamedTuple):
@@ -211,12 +226,13 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
     scoped = bool(spike.vehicles) or spike.since_s is not None
     right = _list_right_names(spike)
     truth = _subtract(spiked.seen, placebo.seen)
-    evidence = _weigh_truth(placebo, truth) if len(truth) == len(placebo.seen.measured) else None
     form = _find_form(spiked, truth, right)
+    same = len(truth) == len(placebo.seen.measured)
+    evidence = _weigh_energy(placebo, truth, truth) if same else None
     names, before = spiked.list_names(), set(placebo.list_names())
     ours = [name for name in names if name[0] in right and (name[1] != "all cars") == scoped]
     new = [name for name in names if name in ours or name not in before]
-    ratio = _compare_size(spiked, truth, right, 1.0 if form is None else form[3], scoped=scoped)
+    ratio = _compare_size(spiked, truth, right, 1.0 if form is None else form.likeness, scoped=scoped)
     variant, probability, estimate, causes, since = _read_finding(spiked, right, scoped=scoped)
     return SpikeScore(
         effect=spike.effect,
@@ -225,13 +241,14 @@ def compare_studies(spike: Spike, placebo: Study, spiked: Study) -> SpikeScore:
         seed=spike.seed,
         visible=evidence is not None and evidence > np.log(VISIBLE),
         evidence=evidence,
-        plausible=form is not None and form[2],
+        form_evidence=_weigh_energy(placebo, truth, form.energy) if same and form is not None else None,
+        plausible=form is not None and form.plausible,
         rank=names.index(ours[0]) + 1 if ours else None,
         new_rank=new.index(ours[0]) + 1 if ours else None,
         probability=probability,
         in_credible_set=bool(set(right) & set(list_credible(causes))),
         coefficient=None if estimate is None else describe_coefficient(effects.get(variant), estimate),
-        true_coefficient=None if form is None else form[1],
+        true_coefficient=None if form is None else form.coefficient,
         ratio=None if ratio is None else ratio.value,
         covered=None if ratio is None else _holds_one(ratio),
         found_since=since,
@@ -292,23 +309,17 @@ def _list_keys(seen: Windows) -> list[tuple[str, float]]:
     return list(zip(get_names(seen.table, "ride_key"), number, strict=True))
 
 
-def _weigh_truth(placebo: Study, truth: Floats) -> float:
-    """Return the log likelihood ratio of the true energies in the spiked recording, less that in the placebo."""
+def _weigh_energy(placebo: Study, truth: Floats, energy: Floats) -> float:
+    """Return the log likelihood ratio of energies in the recording with the truth, less that in the placebo."""
     model = placebo.inference.model
-    return model.shift(truth).weigh(truth) - model.weigh(truth)
+    return model.shift(truth).weigh(energy) - model.weigh(energy)
 
 
-def _find_form(spiked: Study, truth: Floats, right: Sequence[str]) -> tuple[str, float, bool, float] | None:
-    """Return the form of the library that resembles a truth most.
-
-    Returns
-    -------
-    tuple, optional
-        Variant, its coefficient, whether that is plausible, and the share of the squared truth that it explains [1].
-    """
+def _find_form(spiked: Study, truth: Floats, right: Sequence[str]) -> Form | None:
+    """Return the form of the library that resembles a truth most, None where none does."""
     columns = spiked.inference.columns
     acts = truth != 0.0
-    best: tuple[float, str, float] | None = None
+    best: tuple[float, int, float] | None = None
     for at, name in enumerate(columns.names):
         if name.partition(VARIANT)[0] not in right:
             continue
@@ -318,11 +329,13 @@ def _find_form(spiked: Study, truth: Floats, right: Sequence[str]) -> tuple[str,
             continue
         likeness = float(own @ wanted) / np.sqrt(size * float(wanted @ wanted))
         if best is None or likeness > best[0]:
-            best = likeness, name, float(own @ wanted) / size
+            best = likeness, at, float(own @ wanted) / size
     if best is None or best[0] < ALIKE:
         return None
-    effect = effects.get(best[1])
-    return best[1], best[2], abs(best[2]) <= max(abs(effect.low), abs(effect.high)), best[0] ** 2
+    likeness, at, coefficient = best
+    effect = effects.get(columns.names[at])
+    plausible = abs(coefficient) <= max(abs(effect.low), abs(effect.high))
+    return Form(coefficient, plausible, columns.effects[:, at] * coefficient, likeness**2)
 
 
 def _read_finding(

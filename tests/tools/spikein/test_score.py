@@ -3,7 +3,10 @@
 import json
 
 import pytest
+from msgspec.structs import replace
 
+from socast.tools.report.spikein import judge
+from socast.tools.spikein.records import SpikeScore
 from socast.tools.spikein.score import is_named_first
 from tests.support.commands import called, refused
 from tests.support.paths import RECORDINGS
@@ -49,6 +52,14 @@ def test_page_and_terminal_show_the_outcomes(score):
     assert "Outcome by effect and size" in page
     assert "Energy of the effect over that of the cars [%]" in page
     assert "Without any effect put in, the diagnosis names" in text
+
+
+def test_outcome_says_whether_the_library_has_a_formula_that_shows_the_effect():
+    seen = SpikeScore(effect="snow", size=0.03, visible=True, plausible=True, evidence=9.0)
+    assert judge(seen) == "not named: no formula of the library shows it here"
+    assert judge(replace(seen, form_evidence=4.0)) == "not named"
+    assert judge(replace(seen, visible=False)) == "not visible in these data"
+    assert judge(replace(seen, new_rank=2)) == "named"
 
 
 @pytest.mark.parametrize(
