@@ -126,7 +126,7 @@ class ForecastEngine:
         events, at = self._build_events(whole, predicted, int(ends[1]), due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
-        estimates = estimates[events["kind"] == RUNNING]
+        estimates = estimates.compress(events["kind"] == RUNNING)
 
         def get_tables(lane: int, at: int) -> LegEnergyTables | None:
             return self.statistics.get_tables(lane, kinds.find(lane, at))
@@ -140,7 +140,7 @@ class ForecastEngine:
         rows = compute_forecast_rows(
             sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
         )
-        self.newest[sums.running.lane] = rows.get_newest()
+        self.newest.put(sums.running.lane, rows.get_newest())
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
@@ -181,7 +181,7 @@ class ForecastEngine:
         at = np.concatenate([totals.at, np.array([d.at for d in drivers], dtype=np.int64)])
         rank = np.repeat([1, 2, 0], [closed, n - closed, len(drivers)])
         order = np.lexsort((rank, at))
-        return events[order], at[order]
+        return events.take(order), at[order]
 
     def _fill_totals(self, totals: Totals, predicted: Floats, out: NDArray[np.void]) -> None:
         """Write totals as events."""

@@ -143,8 +143,7 @@ class PlanTracker:
         self._riding, self._waiting = grown(self._riding, lanes), grown(self._waiting, lanes)
         self._arrived, self._departed = grown(self._arrived, lanes), grown(self._departed, lanes)
         self._planned = grown(self._planned, lanes)
-        out = self.progress.take(running.lane)
-        numbers = out.view(np.float64).reshape(len(out), PLAN_PROGRESS.itemsize // 8)  # records are slow to assign
+        out = self.progress.take(running.lane)  # `take` and `put` copy records ten times as fast as an index
         km, time = get_ride_km(running), running.at_last("time")
         ended_km, ended_time = rides.amount("distance") * 1e-3, rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
@@ -174,7 +173,7 @@ class PlanTracker:
                     for row in rows[before:].tolist():
                         heappush(steps, _Step(int(running.at[row]), _ROW, row, lane))
             self.progress[lane] = self._compute_progress(lane, get_tables(lane, at))
-            numbers[rows[before:]] = self.progress[lane : lane + 1].view(np.float64)
+            out.put(rows[before:], self.progress[lane : lane + 1])
         now = running.lane[~over]
         self._ride_km[now], self._riding[now] = km[~over], running.ride[~over] >= 0
         return out

@@ -156,7 +156,7 @@ class Totals(NamedTuple):
 
     def rows(self, which: Ints) -> "Totals":
         """Return some of the rows."""
-        return Totals(*(part[which] for part in self))  # type: ignore[arg-type]
+        return Totals(*(part.take(which, axis=0) for part in self))  # type: ignore[arg-type]
 
     def amount(self, name: str) -> Floats:
         """Return a column of `AMOUNTS`."""
