@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, grown, take_keys, take_lanes
+from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_keys, take_lanes
 from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from socast.core.forecast.outlook import OVERTIME, is_plan_current
 from socast.core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
@@ -149,16 +149,14 @@ class PlanTracker:
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
         charged = estimates["arrived"] > self._arrived[running.lane]
         charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
-        by_lane = np.argsort(running.lane, kind="stable")
-        sorted_lanes = running.lane[by_lane]
+        rows_of_lanes = RowsOfLanes(running.lane)
         steps = self._list_steps(running, rides, arrivals, charged)
         while steps:
             at, kind, i, lane = heappop(steps)
             begins = kind == _ROW and self._begins_later_shift(lane, float(time[i]))
             if kind == _ROW and not ((charged[i] and self._follow_charge(lane, estimates[i])) or begins):
                 continue
-            first, end = np.searchsorted(sorted_lanes, (lane, lane + 1))
-            rows = by_lane[first:end]
+            rows = rows_of_lanes.find(lane)
             before = int(np.searchsorted(running.at[rows], at))
             if kind == _RIDE_ENDED:
                 over[rows[:before]] = True
