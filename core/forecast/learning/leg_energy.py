@@ -154,8 +154,9 @@ class LegEnergyTables(NamedTuple):
         """
         out = np.empty((len(km), len(TEMPERATURES)))
         energies = np.array([self.climb_energy, self.descent_energy, self.start_energy])
-        levels = np.vstack([self.leg_energy_per_km, self.standing_power])
-        _compute_leg_energy(km, seconds, gained, lost, begun, self._stack_climbs(), energies, levels, out)
+        levels = np.concatenate([self.leg_energy_per_km, self.standing_power[np.newaxis]])
+        legs = np.array([km, seconds, gained, lost])
+        _compute_leg_energy(legs, begun, self._stack_climbs(), energies, levels, out)
         return out
 
     def compute_terms(self, km: float, seconds: float, gained: float, lost: float) -> LegTerms:
@@ -165,34 +166,22 @@ class LegEnergyTables(NamedTuple):
 
     def _stack_climbs(self) -> Floats:
         """Return the usual climb and descent at each pace, (2, paces). [m/km]"""
-        return np.vstack([self.climbed_per_km, self.descended_per_km])
+        return np.array([self.climbed_per_km, self.descended_per_km])
 
 
 @njit(cache=True)
-def _compute_leg_energy(
-    km: Any,
-    seconds: Any,
-    gained: Any,
-    lost: Any,
-    begun: bool,
-    climbs: Any,
-    energies: Any,
-    levels: Any,
-    out: Any,
-) -> None:
+def _compute_leg_energy(legs: Any, begun: bool, climbs: Any, energies: Any, levels: Any, out: Any) -> None:
     """Compute the energy of legs; `energies` are those of climb, descent and start, `levels` of paces and waiting."""
     climb_energy, descent_energy, start_energy = energies
-    for i in range(len(km)):
-        terms = _compute_terms(km[i], seconds[i], gained[i], lost[i], climbs)
+    for i in range(len(out)):
+        km, seconds, gained, lost = legs[:, i]
+        terms = _compute_terms(km, seconds, gained, lost, climbs)
         extra = terms.climb * climb_energy + terms.descent * descent_energy + (terms.start - begun) * start_energy
-        descended = 0.0 if isnan(lost[i]) else lost[i]
-        least = min(descent_energy, 0.0) * min(descended, STEEPEST_DESCENT * km[i])
+        returned = min(0.0 if isnan(lost) else lost, STEEPEST_DESCENT * km) * min(descent_energy, 0.0)
         for j in range(out.shape[1]):
             level = terms.near_km * levels[terms.knot, j] + terms.far_km * levels[terms.knot + 1, j]
             taken = level + terms.waiting * levels[-1, j] + extra
-            if taken < 0.0:
-                taken *= RECOVERED_SHARE
-            out[i, j] = max(taken, least)
+            out[i, j] = max(taken, RECOVERED_SHARE * taken, returned)
 
 
 @njit(cache=True)
