@@ -71,7 +71,8 @@ class PlannedLegs(NamedTuple):
         """Return the legs of a plan that take these energies."""
         rows = [(leg.distance_km or 0.0, leg.duration_s, _get_charge(leg)) for leg in plan.legs]
         km, seconds, charge_to = np.array(rows, np.float64).reshape(-1, 3).T.copy()
-        return cls(plan, energy.reshape(-1, _KNOTS), begun_energy.reshape(-1, _KNOTS), km, seconds, charge_to)
+        shape = len(rows), _KNOTS  # a forged state may have fewer, and a kernel would read beyond them
+        return cls(plan, energy.reshape(shape), begun_energy.reshape(shape), km, seconds, charge_to)
 
     def drop_done(self, rides: int, charges: int) -> "PlannedLegs":
         """Return the legs that are left after a number of rides and of charges, in whatever order the car did them."""
@@ -169,10 +170,8 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
         (nan if leg.gained_m is None else leg.gained_m, nan if leg.lost_m is None else leg.lost_m) for leg in plan.legs
     ]
     gained, lost = np.array(climbs, np.float64).T.copy()
+    energy, begun_energy = tables.compute_leg_energy(legs.km, legs.seconds, gained, lost)
     is_charge = np.isfinite(legs.charge_to)
-    energy, begun_energy = (
-        tables.compute_leg_energy(legs.km, legs.seconds, gained, lost, begun=begun) for begun in (False, True)
-    )
     energy[is_charge] = begun_energy[is_charge] = 0.0
     return legs._replace(energy=energy, begun_energy=begun_energy)
 

@@ -133,31 +133,28 @@ class LegEnergyTables(NamedTuple):
         limits = (self.energy_per_km, LARGEST_PER_KM), (self.mean_power, LARGEST_POWER)
         return not any(((values <= 0.0) | (values > most)).any() for values, most in limits)
 
-    def compute_leg_energy(
-        self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False
-    ) -> Floats:
+    def compute_leg_energy(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> tuple[Floats, Floats]:
         """Return the energy of legs at each temperature.
 
         Parameters
         ----------
         gained, lost : (legs,) float
             Climb and descent, NaN for the usual ones. [m]
-        begun : bool
-            Whether the rides have begun already. The energy of the beginning is then spent, so that half of such a leg
-            takes half of its energy.
 
         Returns
         -------
-        (legs, temperatures) float
+        energy : (legs, temperatures) float
             [kWh] It is negative where a descent returns more than the leg takes, but never by more than the descent
             itself returns.
+        begun_energy : (legs, temperatures) float
+            The same once the rides have begun. The energy of the beginning is then spent, so that half of such a leg
+            takes half of its energy. [kWh]
         """
-        out = np.empty((len(km), len(TEMPERATURES)))
+        out = np.empty((2, len(km), len(TEMPERATURES)))
         energies = np.array([self.climb_energy, self.descent_energy, self.start_energy])
         levels = np.concatenate([self.leg_energy_per_km, self.standing_power[np.newaxis]])
-        legs = np.array([km, seconds, gained, lost])
-        _compute_leg_energy(legs, begun, self._stack_climbs(), energies, levels, out)
-        return out
+        _compute_leg_energy(np.array([km, seconds, gained, lost]), self._stack_climbs(), energies, levels, out)
+        return out[0], out[1]
 
     def compute_terms(self, km: float, seconds: float, gained: float, lost: float) -> LegTerms:
         """Return the terms of the energy of a leg; its climb and descent are NaN for the usual ones. [m]"""
@@ -170,18 +167,20 @@ class LegEnergyTables(NamedTuple):
 
 
 @njit(cache=True)
-def _compute_leg_energy(legs: Any, begun: bool, climbs: Any, energies: Any, levels: Any, out: Any) -> None:
+def _compute_leg_energy(legs: Any, climbs: Any, energies: Any, levels: Any, out: Any) -> None:
     """Compute the energy of legs; `energies` are those of climb, descent and start, `levels` of paces and waiting."""
     climb_energy, descent_energy, start_energy = energies
-    for i in range(len(out)):
+    for i in range(legs.shape[1]):
         km, seconds, gained, lost = legs[:, i]
         terms = _compute_terms(km, seconds, gained, lost, climbs)
-        extra = terms.climb * climb_energy + terms.descent * descent_energy + (terms.start - begun) * start_energy
         returned = min(0.0 if isnan(lost) else lost, STEEPEST_DESCENT * km) * min(descent_energy, 0.0)
-        for j in range(out.shape[1]):
-            level = terms.near_km * levels[terms.knot, j] + terms.far_km * levels[terms.knot + 1, j]
-            taken = level + terms.waiting * levels[-1, j] + extra
-            out[i, j] = max(taken, RECOVERED_SHARE * taken, returned)
+        for begun in range(2):
+            climbing = terms.climb * climb_energy + terms.descent * descent_energy
+            extra = climbing + (terms.start - begun) * start_energy
+            for j in range(out.shape[2]):
+                level = terms.near_km * levels[terms.knot, j] + terms.far_km * levels[terms.knot + 1, j]
+                taken = level + terms.waiting * levels[-1, j] + extra
+                out[begun, i, j] = max(taken, RECOVERED_SHARE * taken, returned)
 
 
 @njit(cache=True)
