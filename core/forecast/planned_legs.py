@@ -128,25 +128,27 @@ def _sum_up(
                 _add_charge(left, seconds[i], charge_to[i])
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _add_ride(left: Any, km: float, seconds: float, energy: Any, begun_energy: Any) -> None:
     """Add the next ride to the stretch that it is in."""
     if left.charges > 0.0:
         left.after_legs += 1.0
-        left.after_kwh[:] += energy
         left.after_km += km
         left.after_s += seconds
+        _add(left.after_kwh, energy)
         return
     if left.legs == 0.0:
-        left.leg_kwh[:], left.begun_kwh[:], left.leg_km, left.leg_s = energy, begun_energy, km, seconds
+        left.leg_km, left.leg_s = km, seconds
+        _add(left.leg_kwh, energy)
+        _add(left.begun_kwh, begun_energy)
     else:
-        left.later_kwh[:] += energy
         left.later_km += km
         left.later_s += seconds
+        _add(left.later_kwh, energy)
     left.legs += 1.0
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _add_charge(left: Any, seconds: float, charge_to: float) -> None:
     """Add the next charge; what came after the charge before lies between charges."""
     if left.charges == 0.0:
@@ -157,7 +159,15 @@ def _add_charge(left: Any, seconds: float, charge_to: float) -> None:
     left.charges += 1.0
     left.charge_to = charge_to
     left.after_legs = left.after_s = 0.0
-    left.after_kwh[:] = 0.0
+    for j in range(_KNOTS):
+        left.after_kwh[j] = 0.0
+
+
+@njit(cache=False)
+def _add(sums: Any, energy: Any) -> None:
+    """Add the energy of a leg at each temperature."""
+    for j in range(_KNOTS):
+        sums[j] += energy[j]
 
 
 def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedLegs:
