@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.stats.conformal import compute_counted_quantiles
 from socast.core.totals.day_sums import DaySums
 
@@ -240,8 +240,8 @@ def classify(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
     ambient_c : (n,) float
         Outside temperature, NaN counts as 15 °C. [°C]
     """
-    distance = np.searchsorted(DISTANCE_CLASSES, np.nan_to_num(ahead_km), side="right") - 1
-    temperature = np.searchsorted(TEMPERATURE_CLASSES, np.nan_to_num(ambient_c, nan=15.0), side="right") - 1
+    distance = np.searchsorted(DISTANCE_CLASSES, replace_nan(ahead_km), side="right") - 1
+    temperature = np.searchsorted(TEMPERATURE_CLASSES, replace_nan(ambient_c, 15.0), side="right") - 1
     return np.maximum(distance, 0), np.maximum(temperature, 0)
 
 

@@ -7,6 +7,7 @@ messages are cut into batches, nor on which other cars sent samples a moment ear
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from heapq import heappop, heappush
 from math import inf, nan
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
@@ -14,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_lanes
 from socast.core.columns import JOULES_PER_KWH
 from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.filter_state import (
@@ -126,7 +127,7 @@ class ForecastEngine:
         events, at = self._build_events(whole, predicted, int(ends[1]), due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
-        estimates = estimates[events["kind"] == RUNNING]
+        estimates = estimates.compress(events["kind"] == RUNNING)
 
         def get_tables(lane: int, at: int) -> LegEnergyTables | None:
             return self.statistics.get_tables(lane, kinds.find(lane, at))
@@ -140,7 +141,7 @@ class ForecastEngine:
         rows = compute_forecast_rows(
             sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
         )
-        self.newest[sums.running.lane] = rows.get_newest()
+        self.newest.put(sums.running.lane, rows.get_newest())
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
@@ -181,7 +182,7 @@ class ForecastEngine:
         at = np.concatenate([totals.at, np.array([d.at for d in drivers], dtype=np.int64)])
         rank = np.repeat([1, 2, 0], [closed, n - closed, len(drivers)])
         order = np.lexsort((rank, at))
-        return events[order], at[order]
+        return events.take(order), at[order]
 
     def _fill_totals(self, totals: Totals, predicted: Floats, out: NDArray[np.void]) -> None:
         """Write totals as events."""
@@ -218,14 +219,27 @@ class ForecastEngine:
         `at` is the place of each event in the batch.
         """
         steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
-        time = running.at_last("time")
-        lanes = np.unique(running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc, rows.arrived)])
-        lanes = np.union1d(lanes, shifts["lane"])
-        due = np.flatnonzero(np.isin(running.lane, lanes)) if len(lanes) else lanes
-        steps += [_Evaluation(place, True, i) for place, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
-        for place, of_forecast, i in sorted(steps):
+        time, rows_of_lanes = running.at_last("time"), RowsOfLanes(running.lane)
+
+        def add_next(lane: int, first: int) -> None:
+            """Add the first row of a lane, from a place on, at which a forecast is due."""
+            of_lane = rows_of_lanes.find(lane)
+            left = of_lane[np.searchsorted(running.at[of_lane], first) :]
+            due = self.log.is_due(lane, time[left], rows.raw_end_soc[left], rows.arrived[left])
+            if due.any():
+                row = int(left[due.argmax()])
+                heappush(steps, _Evaluation(int(running.at[row]), True, row))
+
+        for lane in np.unique(
+            running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc, rows.arrived)]
+        ).tolist():
+            add_next(lane, 0)
+        while steps:
+            place, of_forecast, i = heappop(steps)
             if not of_forecast:
-                self._close_shift(shifts[i], kinds.find(int(shifts[i]["lane"]), place))
+                lane = int(shifts[i]["lane"])
+                self._close_shift(shifts[i], kinds.find(lane, place))
+                add_next(lane, place)
             elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i], rows.arrived[i]):
                 now, faulty, soc = float(time[i]), float(rows.faulty[i]), float(rows.reported_soc[i])
                 spoilt, arrived = float(np.fmax(rows.charged[i], faulty)), float(rows.arrived[i])
@@ -234,6 +248,7 @@ class ForecastEngine:
                 has_charge = bool(np.isfinite(rows.raw_charge_soc[i]))
                 to_charge = _create_charge_record(now, rows, i) if has_charge else None
                 self.log.record(lane, _create_record(now, rows, i), to_charge)
+                add_next(lane, place + 1)
 
     def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
         """Learn from a shift of a car of a kind that has ended."""

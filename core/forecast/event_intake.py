@@ -45,10 +45,11 @@ class EventIntake:
 
         A daily update applies to every later row: run it before you ask for the next piece.
         """
-        piece = Piece(0, 0, _NO_KINDS, [], [], [])
+        piece, heard = Piece(0, 0, _NO_KINDS, [], [], []), list[int]()
         for number, event in enumerate(events):
             (row, lane, value, _, _), place = event, order.of_event(number)
-            self._silent_cars.hear([lane] if lane >= 0 else [], samples=False)
+            if lane >= 0:
+                heard.append(lane)
             if isinstance(value, Vehicle):
                 piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
             elif isinstance(value, Ride):
@@ -61,12 +62,13 @@ class EventIntake:
                 self._take_weather(place, event, value, piece, refusals)
             elif isinstance(value, DailyUpdate):
                 rest = RestOfBatch(batch, row, events, number + 1, order, value.midnight)
-                yield self._cut_off(batch, piece, row), rest
-                piece = Piece(row, row, _NO_KINDS, [], [], [])
-        yield self._cut_off(batch, piece, batch.size), None
+                yield self._cut_off(batch, piece, row, heard), rest
+                piece, heard = Piece(row, row, _NO_KINDS, [], [], []), []
+        yield self._cut_off(batch, piece, batch.size, heard), None
 
-    def _cut_off(self, batch: Batch, piece: Piece, stop: int) -> Piece:
+    def _cut_off(self, batch: Batch, piece: Piece, stop: int, heard: list[int]) -> Piece:
         """Return a piece that ends before a row; count its samples and those lost, and find the kinds of their cars."""
+        self._silent_cars.hear(heard, samples=False)
         rows, replaced = batch.rows(piece.start, stop), list[ReplacedKind]()
         self._silent_cars.hear(rows.lane)
         kind = self._context.cars.kinds(rows.lane, piece.changes, len(self._context.lanes), replaced)

@@ -122,6 +122,8 @@ class ForecastRows(NamedTuple):
     @classmethod
     def join(cls, parts: Sequence["ForecastRows"]) -> "ForecastRows":
         """Return rows one after another."""
+        if len(parts) == 1:
+            return parts[0]
         none = {name: np.empty(0, np.int64 if name == "basis" else np.float64) for name in cls._fields}
         return cls(
             **{name: np.concatenate([empty, *(getattr(p, name) for p in parts)]) for name, empty in none.items()}
@@ -187,6 +189,8 @@ def compute_forecast_rows(
 
     Units: predicted [kWh].
     """
+    if not len(running.lane):
+        return ForecastRows.join([])
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
     patterns = statistics.get_patterns(running.lane)
     ahead_c = ambient - ZERO_CELSIUS

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
 from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
@@ -211,7 +211,7 @@ def schedule_plan(
     """
     left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
     driving = left * progress["leg_s"] + progress["later_s"]
-    charging = np.maximum(progress["charge_s"] - np.nan_to_num(time - charging_since, nan=0.0), 0.0)
+    charging = np.maximum(progress["charge_s"] - replace_nan(time - charging_since, 0.0), 0.0)
     middle = charging + progress["between_s"]  # 0 without charges, like all that follows a charge
     end = np.maximum(progress["end"], time + (driving + (middle + progress["after_s"])))
     hours = (end - time) / 3600.0
@@ -380,4 +380,4 @@ def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> 
 
 def compute_temperature_weights(ambient: Floats) -> Floats:
     """Return the weight of each of `TEMPERATURES` at outside temperatures."""
-    return compute_knot_weights(np.nan_to_num(ambient - ZERO_CELSIUS, nan=15.0), TEMPERATURES)
+    return compute_knot_weights(replace_nan(ambient - ZERO_CELSIUS, 15.0), TEMPERATURES)

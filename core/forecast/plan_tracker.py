@@ -9,13 +9,14 @@ charge, in whatever order the plan has them.
 """
 
 from collections.abc import Callable, Sequence
+from heapq import heappop, heappush
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, grown, take_keys, take_lanes
+from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_keys, take_lanes
 from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from socast.core.forecast.outlook import OVERTIME, is_plan_current
 from socast.core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
@@ -142,28 +143,35 @@ class PlanTracker:
         self._riding, self._waiting = grown(self._riding, lanes), grown(self._waiting, lanes)
         self._arrived, self._departed = grown(self._arrived, lanes), grown(self._departed, lanes)
         self._planned = grown(self._planned, lanes)
-        out = self.progress[running.lane]
+        out = self.progress.take(running.lane)  # `take` and `put` copy records ten times as fast as an index
         km, time = get_ride_km(running), running.at_last("time")
         ended_km, ended_time = rides.amount("distance") * 1e-3, rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
         charged = estimates["arrived"] > self._arrived[running.lane]
         charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
-        for at, kind, i, lane in self._list_steps(running, rides, arrivals, charged):
+        rows_of_lanes = RowsOfLanes(running.lane)
+        steps = self._list_steps(running, rides, arrivals, charged)
+        while steps:
+            at, kind, i, lane = heappop(steps)
             begins = kind == _ROW and self._begins_later_shift(lane, float(time[i]))
             if kind == _ROW and not ((charged[i] and self._follow_charge(lane, estimates[i])) or begins):
                 continue
-            of_lane = running.lane == lane
-            before = of_lane & (running.at < at)
+            rows = rows_of_lanes.find(lane)
+            before = int(np.searchsorted(running.at[rows], at))
             if kind == _RIDE_ENDED:
-                over |= before
+                over[rows[:before]] = True
                 self._end_ride(lane, float(ended_km[i]), float(ended_time[i]))
             elif kind == _PLAN_CAME or begins:
-                rows = np.flatnonzero(before & ~over)
-                driven = float(km[rows[-1]] if len(rows) else self._ride_km[lane])
+                rides_on = before > 0 and not over[rows[before - 1]]
+                driven = float(km[rows[before - 1]] if rides_on else self._ride_km[lane])
                 plan = self.later[lane] if kind == _ROW else arrivals[i].plan
+                waited = bool(self._waiting[lane])
                 self._add_plan(lane, plan, float(time[i]) if kind == _ROW else plan.time_s, driven)
+                if self._waiting[lane] and not waited:
+                    for row in rows[before:].tolist():
+                        heappush(steps, _Step(int(running.at[row]), _ROW, row, lane))
             self.progress[lane] = self._compute_progress(lane, get_tables(lane, at))
-            out[of_lane & (running.at >= at)] = self.progress[lane]
+            out.put(rows[before:], self.progress[lane : lane + 1])
         now = running.lane[~over]
         self._ride_km[now], self._riding[now] = km[~over], running.ride[~over] >= 0
         return out
@@ -197,14 +205,11 @@ class PlanTracker:
     def _list_steps(
         self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], charged: NDArray[np.bool_]
     ) -> list[_Step]:
-        """Return in order what may change plans; rows only of lanes whose plan may wait, or that have charged."""
+        """Return in order what may change plans; rows only of lanes whose plan waits, or that have charged."""
         steps = [_Step(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
         ends = zip(rides.at.tolist(), rides.lane.tolist(), strict=True)
         steps += [_Step(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
-        may_wait = self._waiting[running.lane]
-        if arrivals:
-            may_wait |= np.isin(running.lane, [arrival.lane for arrival in arrivals])
-        rows = np.flatnonzero(may_wait | charged)
+        rows = np.flatnonzero(self._waiting[running.lane] | charged)
         waiting = zip(running.at[rows].tolist(), rows.tolist(), running.lane[rows].tolist(), strict=True)
         return sorted([*steps, *(_Step(at, _ROW, i, lane) for at, i, lane in waiting)])
 
@@ -270,7 +275,7 @@ class PlanTracker:
             return np.zeros((), PLAN_PROGRESS)
         legs = active.legs or compute_planned_legs(active.plan, tables)
         self.plans[lane] = active._replace(legs=legs)
-        return legs.drop_done(active.done, active.charged).compute_progress(active.driven_km)
+        return legs.compute_progress(active.driven_km, active.done, active.charged)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
@@ -300,7 +305,7 @@ class PlanTracker:
         self.plans = {}
         for lane, raw, done, driven_km, energies, charged in plans:
             plan = msgspec.convert(raw, Plan)
-            arrays = (np.frombuffer(each).reshape(-1, len(TEMPERATURES)) for each in energies or ())
+            arrays = (np.frombuffer(each).reshape(-1, len(TEMPERATURES)).copy() for each in energies or ())
             legs = energies and PlannedLegs.create(plan, *arrays)
             self.plans[int(lane)] = ActivePlan(plan, done, driven_km, legs, charged)
         self.later = {int(lane): msgspec.convert(raw, Plan) for lane, raw in later}

@@ -1,10 +1,11 @@
 """Legs of a plan with their energies, and what is left of them while a car drives."""
 
-from math import nan
-from typing import Final, NamedTuple
+from math import isnan, nan
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
@@ -68,11 +69,10 @@ class PlannedLegs(NamedTuple):
     @classmethod
     def create(cls, plan: Plan, energy: Floats, begun_energy: Floats) -> "PlannedLegs":
         """Return the legs of a plan that take these energies."""
-        km = np.array([leg.distance_km or 0.0 for leg in plan.legs], dtype=np.float64)
-        seconds = np.array([leg.duration_s for leg in plan.legs], dtype=np.float64)
-        charges = [nan if leg.charge_to_soc_pct is None else leg.charge_to_soc_pct / 100.0 for leg in plan.legs]
-        charge_to = np.array(charges, dtype=np.float64)
-        return cls(plan, energy.reshape(-1, _KNOTS), begun_energy.reshape(-1, _KNOTS), km, seconds, charge_to)
+        rows = [(leg.distance_km or 0.0, leg.duration_s, _get_charge(leg)) for leg in plan.legs]
+        km, seconds, charge_to = np.array(rows, np.float64).reshape(-1, 3).T.copy()
+        shape = len(rows), _KNOTS  # a forged state may have fewer, and a kernel would read beyond them
+        return cls(plan, energy.reshape(shape), begun_energy.reshape(shape), km, seconds, charge_to)
 
     def drop_done(self, rides: int, charges: int) -> "PlannedLegs":
         """Return the legs that are left after a number of rides and of charges, in whatever order the car did them."""
@@ -101,27 +101,73 @@ class PlannedLegs(NamedTuple):
         energy, begun = (np.concatenate([present[:place], more, present[place:]]) for present, more in parts)
         return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
 
-    def compute_progress(self, driven_km: float) -> NDArray[np.void]:
-        """Return what these legs need, as one PLAN_PROGRESS."""
-        out = np.zeros(1, PLAN_PROGRESS)[0]
-        out["planned"], out["end"], out["reserve"] = 1.0, self.plan.shift_end_s, self.plan.reserve_soc_pct / 100.0
-        out["came"], out["driven_km"] = self.plan.time_s, driven_km
-        charges = np.flatnonzero(np.isfinite(self.charge_to))
-        until = int(charges[0]) if len(charges) else len(self.km)
-        out["legs"] = until
-        if until:
-            out["leg_kwh"], out["begun_kwh"] = self.energy[0], self.begun_energy[0]
-            out["leg_km"], out["leg_s"] = self.km[0], self.seconds[0]
-            out["later_kwh"] = self.energy[1:until].sum(axis=0)
-            out["later_km"], out["later_s"] = self.km[1:until].sum(), self.seconds[1:until].sum()
-        if len(charges):
-            after = int(charges[-1]) + 1
-            out["charges"], out["charge_to"] = len(charges), self.charge_to[charges[-1]]
-            out["charge_s"], out["between_s"] = self.seconds[until], self.seconds[until + 1 : after].sum()
-            out["between_legs"], out["after_legs"] = after - until - len(charges), len(self.km) - after
-            out["after_kwh"], out["after_s"] = self.energy[after:].sum(axis=0), self.seconds[after:].sum()
-            out["after_km"] = self.km[until:].sum()
-        return out
+    def compute_progress(self, driven_km: float, rides: int = 0, charges: int = 0) -> NDArray[np.void]:
+        """Return what these legs need after a number of rides and of charges, as one PLAN_PROGRESS."""
+        out = np.zeros(1, PLAN_PROGRESS)
+        row = out[0]
+        row["planned"], row["end"], row["reserve"] = 1.0, self.plan.shift_end_s, self.plan.reserve_soc_pct / 100.0
+        row["came"], row["driven_km"] = self.plan.time_s, driven_km
+        _sum_up(self.km, self.seconds, self.charge_to, self.energy, self.begun_energy, rides, charges, out)
+        return row
+
+
+@njit(cache=True)
+def _sum_up(
+    km: Any, seconds: Any, charge_to: Any, energy: Any, begun_energy: Any, rides: int, charges: int, out: Any
+) -> None:
+    """Add the legs that are left after a number of rides and of charges to an empty PLAN_PROGRESS."""
+    left = out[0]
+    for i in range(len(km)):
+        if isnan(charge_to[i]):
+            rides -= 1
+            if rides < 0:
+                _add_ride(left, km[i], seconds[i], energy[i], begun_energy[i])
+        else:
+            charges -= 1
+            if charges < 0:
+                _add_charge(left, seconds[i], charge_to[i])
+
+
+@njit(cache=False)
+def _add_ride(left: Any, km: float, seconds: float, energy: Any, begun_energy: Any) -> None:
+    """Add the next ride to the stretch that it is in."""
+    if left.charges > 0.0:
+        left.after_legs += 1.0
+        left.after_km += km
+        left.after_s += seconds
+        _add(left.after_kwh, energy)
+        return
+    if left.legs == 0.0:
+        left.leg_km, left.leg_s = km, seconds
+        _add(left.leg_kwh, energy)
+        _add(left.begun_kwh, begun_energy)
+    else:
+        left.later_km += km
+        left.later_s += seconds
+        _add(left.later_kwh, energy)
+    left.legs += 1.0
+
+
+@njit(cache=False)
+def _add_charge(left: Any, seconds: float, charge_to: float) -> None:
+    """Add the next charge; what came after the charge before lies between charges."""
+    if left.charges == 0.0:
+        left.charge_s = seconds
+    else:
+        left.between_legs += left.after_legs
+        left.between_s += left.after_s + seconds
+    left.charges += 1.0
+    left.charge_to = charge_to
+    left.after_legs = left.after_s = 0.0
+    for j in range(_KNOTS):
+        left.after_kwh[j] = 0.0
+
+
+@njit(cache=False)
+def _add(sums: Any, energy: Any) -> None:
+    """Add the energy of a leg at each temperature."""
+    for j in range(_KNOTS):
+        sums[j] += energy[j]
 
 
 def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedLegs:
@@ -130,14 +176,19 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
     legs = PlannedLegs.create(plan, unknown, unknown)
     if tables is None or not plan.legs:
         return legs
-    gained = np.array([np.nan if leg.gained_m is None else leg.gained_m for leg in plan.legs], dtype=np.float64)
-    lost = np.array([np.nan if leg.lost_m is None else leg.lost_m for leg in plan.legs], dtype=np.float64)
-    energy, begun_energy = (
-        tables.compute_leg_energy(legs.km, legs.seconds, gained, lost, begun=begun) for begun in (False, True)
-    )
+    climbs = [
+        (nan if leg.gained_m is None else leg.gained_m, nan if leg.lost_m is None else leg.lost_m) for leg in plan.legs
+    ]
+    gained, lost = np.array(climbs, np.float64).T.copy()
+    energy, begun_energy = tables.compute_leg_energy(legs.km, legs.seconds, gained, lost)
     is_charge = np.isfinite(legs.charge_to)
     energy[is_charge] = begun_energy[is_charge] = 0.0
     return legs._replace(energy=energy, begun_energy=begun_energy)
+
+
+def _get_charge(leg: Leg) -> float:
+    """Return the charge after a charge, NaN for a ride. [1]"""
+    return nan if leg.charge_to_soc_pct is None else leg.charge_to_soc_pct / 100.0
 
 
 def compute_share_left(leg_km: Floats, driven_km: Floats) -> Floats:

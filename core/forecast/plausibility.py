@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from msgspec import UNSET
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, replace_nan
 from socast.core.columns import KMH
 from socast.core.forecast.forecast_rows import INTERVALS, NEWEST_FORECAST, ForecastRows
 from socast.core.forecast.learning.leg_energy import LARGEST_PER_KM, LARGEST_POWER
@@ -50,7 +50,7 @@ def find_implausible(
         Energy of the ride in progress, NaN where unknown. [kWh]
     """
     kind = running.at_last("kind").astype(np.int64)
-    capacity = np.nan_to_num(cars.capacity[kind], nan=LARGEST_BATTERY)
+    capacity = replace_nan(cars.capacity[kind], LARGEST_BATTERY)
     distance, duration = running.amount("distance"), running.amount("duration")
     most_kwh = compute_largest_energy(running, cars)
     most_km = capacity / RATED[0]

@@ -142,7 +142,7 @@ def forecast_soc_ahead(
     if not len(rows):
         return SocAhead(first, SocForecast(*(unknown for _ in first)), unknown, ahead.basis)
     times, usual = PlanTimes(*(each[rows] for each in times)), UsualConsumption(*(each[rows] for each in usual))
-    progress, errors = progress[rows], errors._replace(ahead_c=errors.ahead_c[rows])
+    progress, errors = progress.take(rows), errors._replace(ahead_c=errors.ahead_c[rows])
     arrival = MeanAndSd(first.raw_mean[rows], first.raw_sd[rows])
     hours = (times.end - time[rows]) / 3600.0 - times.after
     estimate = CarEstimate(*(each[rows] for each in estimate))

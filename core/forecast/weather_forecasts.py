@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.learning.daily_cycle import HOURS, DailyCycle
 from socast.core.signals.weather import LATEST, PLAUSIBLE
@@ -105,7 +105,7 @@ class WeatherForecasts:
 
     def expect_ambient(self, ambient: Floats, time: Floats, end: Floats, cycle: DailyCycle) -> Floats:
         """Return the mean outside temperature over the time ahead."""
-        ahead = np.clip(np.nan_to_num(end - time), 0.0, 3600.0 * HOURS)
+        ahead = np.clip(replace_nan(end - time), 0.0, 3600.0 * HOURS)
         if self._courses is None:
             self._courses = [_order(course) for _, course in sorted(self._temperatures.items())]
         change, stations = np.zeros(len(time)), np.zeros(len(time))

@@ -156,7 +156,7 @@ class Totals(NamedTuple):
 
     def rows(self, which: Ints) -> "Totals":
         """Return some of the rows."""
-        return Totals(*(part[which] for part in self))  # type: ignore[arg-type]
+        return Totals(*(part.take(which, axis=0) for part in self))  # type: ignore[arg-type]
 
     def amount(self, name: str) -> Floats:
         """Return a column of `AMOUNTS`."""
@@ -176,7 +176,15 @@ def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
     some = [part for part in parts if len(part.lane)]
     if len(some) < 2:
         return some[0] if some else none
-    return Totals(*(np.concatenate(columns) for columns in zip(*some, strict=True)))
+    return Totals(*(_concatenate(columns) for columns in zip(*some, strict=True)))
+
+
+def _concatenate(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return columns one after another; records as plain numbers, which takes a tenth of the time."""
+    records = columns[0].dtype
+    if records.names is None:
+        return np.concatenate(columns)
+    return np.concatenate([each.view(np.float64) for each in columns]).view(records)
 
 
 class Sums(NamedTuple):

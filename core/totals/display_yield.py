@@ -233,7 +233,7 @@ class DisplayYields:
     def _find_yields(self, lanes: Ints, kind: Floats) -> NDArray[Any]:
         """Return the present yields of cars in lanes, (n,) DISPLAY_YIELD."""
         kinds = kind.astype(np.int64)
-        out = self._yields[lanes]
+        out = self._yields.take(lanes)
         anew = np.flatnonzero(self._kind[lanes] != kinds)
         if len(anew):
             out[anew] = self._compute_yields(lanes[anew], kinds[anew])

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC, POWER_SPREAD
 from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import GRAVITY, JOULES_PER_KWH
@@ -155,7 +155,7 @@ def find_inverted(totals: Totals) -> NDArray[np.bool_]:
 def _is_impossible(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     """Return where more energy returned to the battery than the car can have had from its descent and its motion."""
     kinds = totals.at_last("kind").astype(np.int64)
-    mass = np.nan_to_num(cars.parameters_of(kinds).mass_kg, nan=HEAVY)
+    mass = replace_nan(cars.parameters_of(kinds).mass_kg, HEAVY)
     descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
     most = mass * (GRAVITY * descent + 0.5 * FASTEST**2) / JOULES_PER_KWH
     return np.asarray(totals.amount("energy") / JOULES_PER_KWH < -most)
@@ -208,7 +208,7 @@ def compute_soc_energy_noise(totals: Totals) -> Floats:
 
 def find_quantum(totals: Totals) -> Floats:
     """Return the quantum of the reported state of charge, (n,). [1]"""
-    return np.nan_to_num(totals.at_last("soc_step"), nan=COARSEST_SOC)
+    return replace_nan(totals.at_last("soc_step"), COARSEST_SOC)
 
 
 def find_usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
@@ -250,7 +250,7 @@ def _unmoved(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     kinds = totals.at_last("kind").astype(np.int64)
     descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
     fallen = cars.parameters_of(kinds).mass_kg * GRAVITY * descent / JOULES_PER_KWH / cars.capacity[kinds]
-    used = LEAST_CONSUMPTION * totals.amount("distance") * 1e-3 - np.nan_to_num(fallen)
+    used = LEAST_CONSUMPTION * totals.amount("distance") * 1e-3 - replace_nan(fallen)
     return (totals.at_first("soc") == totals.at_last("soc")) & (used > FROZEN_SOC)
 
 
@@ -288,7 +288,7 @@ def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
     (n,) float
         `BATTERIES` capacities, and as many again in each hour of a ride with charging. [kWh]
     """
-    capacity = np.nan_to_num(cars.capacity[totals.at_last("kind").astype(np.int64)], nan=LARGEST_BATTERY)
+    capacity = replace_nan(cars.capacity[totals.at_last("kind").astype(np.int64)], LARGEST_BATTERY)
     duration = totals.amount("duration")
     charged = totals.at_last("since_charge") < duration
     return BATTERIES * capacity * np.where(charged, 1.0 + duration / 3600.0, 1.0)

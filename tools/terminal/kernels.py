@@ -37,7 +37,7 @@ from socast.core.settings import Limits, Settings
 from socast.core.wire.arrow_batch import write_rows
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.message_block import MessageBlock
-from socast.core.wire.messages import Message, Telemetry, Weather, encode
+from socast.core.wire.messages import Leg, Message, Plan, Telemetry, Vehicle, Weather, encode
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.structured_log import log_lines
@@ -145,6 +145,8 @@ def _run_independent_kernels() -> None:
 def _make_messages() -> list[Message]:
     """Return a few made-up messages."""
     first = Weather("compile", START - 60.0, 45.5, -73.6, temperature_c=5.0)
+    vehicle = Vehicle("compile", START - 60.0, "kia-soul-ev-2015")
+    plan = Plan("compile", START, START + 3600.0, 20.0, [Leg(5.0, 600.0), Leg(None, 600.0, charge_to_soc_pct=80.0)])
     samples = [
         Telemetry(
             "compile",
@@ -161,6 +163,8 @@ def _make_messages() -> list[Message]:
     ]
     return [
         Message("weather/compile", encode(first), 0),
+        Message("fleet/compile/vehicle", encode(vehicle), 0),
+        Message("fleet/compile/plan", encode(plan), 0),
         *(Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples),
         Message("fleet/compile/batch", write_rows(pa.table({"vehicle_id": ["compile"], "time_s": [START]})), 0),
         Message("fleet/compile/telemetry", b"{", 0),  # refused messages have a kernel, too

@@ -5,9 +5,11 @@ earlier rides (`socast.core.forecast.learning.ride_stats`) at knots of pace and 
 values are interpolated linearly.
 """
 
-from typing import Final, NamedTuple
+from math import isnan
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from socast.core.batch import Floats
 
@@ -32,25 +34,29 @@ LARGEST_POWER: Final = 100.0
 
 
 class LegTerms(NamedTuple):
-    """Hold the terms whose weighted sum is the energy of n legs.
+    """Hold the terms whose weighted sum is the energy of a leg.
 
     Parameters
     ----------
-    km : (n, paces) float
-        Distance at each pace. [km]
-    waiting : (n,) float
+    knot : int
+        Index of the knot of pace before that of the leg.
+    near_km, far_km : float
+        Distance at that knot, and at the next one. [km]
+    waiting : float
         Time beyond that of the slowest pace. [h]
-    climb, descent : (n,) float
+    climb, descent : float
         Metres gained and lost beyond the usual. [m]
-    start : (n,) float
+    start : float
         Number of ride beginnings, less those that a leg of typical length includes. [1]
     """
 
-    km: Floats
-    waiting: Floats
-    climb: Floats
-    descent: Floats
-    start: Floats
+    knot: int
+    near_km: float
+    far_km: float
+    waiting: float
+    climb: float
+    descent: float
+    start: float
 
 
 class LegEnergyTables(NamedTuple):
@@ -127,48 +133,71 @@ class LegEnergyTables(NamedTuple):
         limits = (self.energy_per_km, LARGEST_PER_KM), (self.mean_power, LARGEST_POWER)
         return not any(((values <= 0.0) | (values > most)).any() for values, most in limits)
 
-    def compute_leg_energy(
-        self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False
-    ) -> Floats:
+    def compute_leg_energy(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> tuple[Floats, Floats]:
         """Return the energy of legs at each temperature.
 
         Parameters
         ----------
         gained, lost : (legs,) float
             Climb and descent, NaN for the usual ones. [m]
-        begun : bool
-            Whether the rides have begun already. The energy of the beginning is then spent, so that half of such a leg
-            takes half of its energy.
 
         Returns
         -------
-        (legs, temperatures) float
+        energy : (legs, temperatures) float
             [kWh] It is negative where a descent returns more than the leg takes, but never by more than the descent
             itself returns.
+        begun_energy : (legs, temperatures) float
+            The same once the rides have begun. The energy of the beginning is then spent, so that half of such a leg
+            takes half of its energy. [kWh]
         """
-        terms = self.compute_terms(km, seconds, gained, lost)
-        level = terms.km @ self.leg_energy_per_km + np.outer(terms.waiting, self.standing_power)
-        extras = np.column_stack([terms.climb, terms.descent, terms.start - begun])
-        coefficients = np.array([self.climb_energy, self.descent_energy, self.start_energy])
-        taken = level + (extras @ coefficients)[:, np.newaxis]
-        least = np.minimum(self.descent_energy, 0.0) * np.minimum(np.nan_to_num(lost, nan=0.0), STEEPEST_DESCENT * km)
-        return np.asarray(np.maximum(np.maximum(taken, RECOVERED_SHARE * taken), least[:, np.newaxis]))
+        out = np.empty((2, len(km), len(TEMPERATURES)))
+        energies = np.array([self.climb_energy, self.descent_energy, self.start_energy])
+        levels = np.concatenate([self.leg_energy_per_km, self.standing_power[np.newaxis]])
+        _compute_leg_energy(np.array([km, seconds, gained, lost]), self._stack_climbs(), energies, levels, out)
+        return out[0], out[1]
 
-    def compute_terms(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> LegTerms:
-        """Return the terms of the energy of legs.
+    def compute_terms(self, km: float, seconds: float, gained: float, lost: float) -> LegTerms:
+        """Return the terms of the energy of a leg; its climb and descent are NaN for the usual ones. [m]"""
+        terms: LegTerms = _compute_terms(km, seconds, gained, lost, self._stack_climbs())
+        return terms
 
-        Parameters
-        ----------
-        gained, lost : (legs,) float
-            Climb and descent, NaN for the usual ones. [m]
-        """
-        minutes = seconds / 60.0
-        pace = np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > LEAST_KM)
-        weights = compute_knot_weights(pace, PACES)
-        climb = np.nan_to_num(gained - weights @ self.climbed_per_km * km, nan=0.0)
-        descent = np.nan_to_num(lost - weights @ self.descended_per_km * km, nan=0.0)
-        waiting = np.maximum(minutes - PACES[-1] * km, 0.0) / 60.0
-        return LegTerms(weights * km[:, np.newaxis], waiting, climb, descent, 1.0 - km / TYPICAL_KM)
+    def _stack_climbs(self) -> Floats:
+        """Return the usual climb and descent at each pace, (2, paces). [m/km]"""
+        return np.array([self.climbed_per_km, self.descended_per_km])
+
+
+@njit(cache=True)
+def _compute_leg_energy(legs: Any, climbs: Any, energies: Any, levels: Any, out: Any) -> None:
+    """Compute the energy of legs; `energies` are those of climb, descent and start, `levels` of paces and waiting."""
+    climb_energy, descent_energy, start_energy = energies
+    for i in range(legs.shape[1]):
+        km, seconds, gained, lost = legs[:, i]
+        terms = _compute_terms(km, seconds, gained, lost, climbs)
+        returned = min(0.0 if isnan(lost) else lost, STEEPEST_DESCENT * km) * min(descent_energy, 0.0)
+        for begun in range(2):
+            climbing = terms.climb * climb_energy + terms.descent * descent_energy
+            extra = climbing + (terms.start - begun) * start_energy
+            for j in range(out.shape[2]):
+                level = terms.near_km * levels[terms.knot, j] + terms.far_km * levels[terms.knot + 1, j]
+                taken = level + terms.waiting * levels[-1, j] + extra
+                out[begun, i, j] = max(taken, RECOVERED_SHARE * taken, returned)
+
+
+@njit(cache=True)
+def _compute_terms(km: float, seconds: float, gained: float, lost: float, climbs: Any) -> Any:
+    """Return the terms of a leg; `climbs` are the usual climb and descent at each pace. [m/km]"""
+    pace = seconds / 60.0 / km if km > LEAST_KM else PACES[-1]
+    pace = min(max(pace, PACES[0]), PACES[-1])
+    knot = 0
+    while knot < len(PACES) - 2 and PACES[knot + 1] <= pace:
+        knot += 1
+    share = (pace - PACES[knot]) / (PACES[knot + 1] - PACES[knot])
+    climbed = (1.0 - share) * climbs[0, knot] + share * climbs[0, knot + 1]
+    descended = (1.0 - share) * climbs[1, knot] + share * climbs[1, knot + 1]
+    climb = 0.0 if isnan(gained) else gained - climbed * km
+    descent = 0.0 if isnan(lost) else lost - descended * km
+    waiting = max(seconds / 60.0 - PACES[-1] * km, 0.0) / 60.0
+    return LegTerms(knot, (1.0 - share) * km, share * km, waiting, climb, descent, 1.0 - km / TYPICAL_KM)
 
 
 def compute_knot_weights(values: Floats, knots: Floats) -> Floats:

@@ -178,12 +178,14 @@ class RideStatistics:
 
     def _add_to_equations(self, model: str, ride: Totals, ambient: Floats, measured: float) -> None:
         """Add a ride to the normal equations of its terms, with the variance that the present tables predict."""
-        km, seconds = ride.amount("distance") / 1000.0, ride.amount("duration")
+        metres, seconds, gained, lost = (
+            float(ride.amount(name)[0]) for name in ("distance", "duration", "gained", "lost")
+        )
         tables, sums = self.tables[model], self._sums[model].sums
-        terms = tables.compute_terms(km, seconds, ride.amount("gained"), ride.amount("lost"))
-        waited = float(terms.waiting[0] * (tables.standing_power @ ambient))
+        terms = tables.compute_terms(metres / 1000.0, seconds, gained, lost)
+        waited = float(terms.waiting * (tables.standing_power @ ambient))
         row = np.zeros(1, FIT_TERMS)
-        row["km"] = np.outer(terms.km[0], ambient)
+        row["km"][0, terms.knot], row["km"][0, terms.knot + 1] = terms.near_km * ambient, terms.far_km * ambient
         row["climb"], row["descent"], row["start"] = terms.climb, terms.descent, terms.start
         expected = float((row["km"][0] * tables.leg_energy_per_km).sum()) + waited
         weight = 1.0 / (ENERGY_SD**2 * max(expected, 0.0) + READING_ENERGY_SD**2)

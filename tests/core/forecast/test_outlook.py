@@ -135,11 +135,33 @@ def test_remaining_legs_as_a_plan_have_the_same_energy_ahead(done, before, since
         assert value == pytest.approx(other), name
 
 
+@given(st.lists(st.booleans(), max_size=12), st.integers(0, 6), st.integers(0, 3))
+def test_progress_sums_up_the_stretches_of_the_legs_that_are_left(are_charges, rides, charges):
+    legs = [
+        Leg(duration_s=600.0 + i, charge_to_soc_pct=50.0 + i) if is_charge else Leg(2.0 + i, 900.0 + i)
+        for i, is_charge in enumerate(are_charges)
+    ]
+    known = compute_planned_legs(Plan("c", BEGIN, BEGIN + SHIFT, RESERVE, legs), statistics().get_tables(2))
+    left, progress = known.drop_done(rides, charges), known.compute_progress(1.5, rides, charges)
+    places = np.flatnonzero(np.isfinite(left.charge_to))
+    first, after = (int(places[0]), int(places[-1]) + 1) if len(places) else (len(left.km), len(left.km))
+    assert (progress["legs"], progress["charges"]) == (first, len(places))
+    assert progress["between_legs"] == after - first - len(places)
+    assert progress["after_legs"] == len(left.km) - after
+    assert progress["leg_kwh"] == pytest.approx(left.energy[:first][:1].sum(axis=0))
+    assert progress["later_kwh"] == pytest.approx(left.energy[1:first].sum(axis=0))
+    assert progress["after_kwh"] == pytest.approx(left.energy[after:].sum(axis=0))
+    seconds = progress["leg_s"] + progress["later_s"], progress["charge_s"] + progress["between_s"], progress["after_s"]
+    parts = left.seconds[:first], left.seconds[first:after], left.seconds[after:]
+    assert seconds == pytest.approx([part.sum() for part in parts])
+    assert progress["leg_km"] + progress["later_km"] + progress["after_km"] == pytest.approx(left.km.sum())
+
+
 @given(st.floats(0.01, 1.0), st.floats(0.1, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 400.0), st.floats(0.0, 400.0))
 def test_share_of_a_begun_leg_takes_that_share_of_its_energy(share, km, pace, gained, lost):
     parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
     whole, some = (
-        statistics().get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1), begun=True)
+        statistics().get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1))[1]
         for part in parts
     )
     assert some == pytest.approx(share * whole)
@@ -147,20 +169,21 @@ def test_share_of_a_begun_leg_takes_that_share_of_its_energy(share, km, pace, ga
 
 def test_begun_ride_has_no_start_energy():
     tables, leg = statistics().get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
-    assert tables.compute_leg_energy(*leg) - tables.compute_leg_energy(*leg, begun=True) == pytest.approx(0.3)
+    energy, begun_energy = tables.compute_leg_energy(*leg)
+    assert energy - begun_energy == pytest.approx(0.3)
 
 
 @given(st.floats(0.0, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))
 def test_leg_returns_no_more_than_its_descent(km, pace, gained, lost):
     tables = statistics().get_tables(2)
-    taken = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
+    taken, _ = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
     assert tables.descent_energy < 0.0
     assert (taken >= tables.descent_energy * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
 
 
 def test_part_of_the_surplus_of_a_descent_returns():
     tables, lost = statistics().get_tables(2), np.array([600.0, 700.0])
-    one, more = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
+    (one, more), _ = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
     assert (one < 0.0).all()
     assert more - one == pytest.approx(RECOVERED_SHARE * 100.0 * tables.descent_energy)
 

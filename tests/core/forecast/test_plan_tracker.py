@@ -1,11 +1,12 @@
 """Test the progress of plans: only rides use up legs, and later plans wait for their shift."""
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.forecast.outlook import OVERTIME
-from socast.core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE
+from socast.core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE, PlanTracker
 from socast.core.pipeline import Pipeline
 from tests.support.fleet_days import (
     CARS,
@@ -254,3 +255,12 @@ def test_plan_alone_makes_no_forecast_and_unknown_car_has_no_legs():
     unheard = make_message("plan", "z", START, shift_end_s=START + SHIFT, reserve_soc_pct=RESERVE, legs=[])
     assert pipeline.push([unheard]) == []
     assert pipeline.engine.plans.get_remaining_legs(pipeline.lanes.find("z"), START).plan.legs == []
+
+
+def test_state_whose_legs_have_fewer_energies_is_refused():
+    plans, *others = msgspec.msgpack.decode(msgspec.msgpack.encode(at(300.0).engine.plans.dump()))
+    assert plans
+    for active in plans:
+        active[4] = [each[: len(each) // 2] for each in active[4]]
+    with pytest.raises(ValueError, match="reshape"):
+        PlanTracker().load([plans, *others])

@@ -11,7 +11,7 @@ from socast.core.vehicles import load_catalogue
 
 
 def leg(tables, km=10.0, seconds=1800.0, gained=np.nan, lost=np.nan):
-    return tables.compute_leg_energy(*(np.array([value]) for value in (km, seconds, gained, lost)))[0]
+    return tables.compute_leg_energy(*(np.array([value]) for value in (km, seconds, gained, lost)))[0][0]
 
 
 @pytest.mark.parametrize("model", sorted(load_catalogue()))

@@ -55,7 +55,7 @@ def energy(km, seconds=None, gained=np.nan, lost=np.nan, known=None):
     """Return the energy of one leg at each temperature, at 36 km/h where no time is given. [kWh]"""
     seconds = 100.0 * km if seconds is None else seconds
     one = (np.array([value], float) for value in (km, seconds, gained, lost))
-    return (known or tables()).compute_leg_energy(*one)[0]
+    return (known or tables()).compute_leg_energy(*one)[0][0]
 
 
 @given(st.floats(0.5, 50.0), st.floats(1.05, 4.0))
@@ -171,7 +171,7 @@ def driven(known, rides, rng):
     """Return rides as `RideStatistics` takes them, and their energy by `known` tables with a little noise. [kWh]"""
     km, pace = rng.uniform(0.5, 8.0, rides), np.exp(rng.normal(np.log(5.0), 0.5, rides))
     celsius, gained, lost = rng.uniform(-20.0, 30.0, rides), *rng.uniform(0.0, 60.0, (2, rides))
-    energies = known.compute_leg_energy(km, 60.0 * pace * km, gained, lost)
+    energies, _ = known.compute_leg_energy(km, 60.0 * pace * km, gained, lost)
     used = (energies * compute_knot_weights(celsius, TEMPERATURES)).sum(axis=1) + rng.normal(0.0, 0.02, rides)
     amounts = np.zeros((rides, len(AMOUNTS)))
     ambient = (celsius + 273.15) * 60.0 * pace * km
