@@ -259,6 +259,8 @@ class Effect:
         half : float, optional
             Half the width of its interval, which sets the number of digits. [unit]
         """
+        if half is not None and half > abs(self.high - self.low):
+            return f"{self.coefficient}: these data do not determine it"
         number = rounded(value * self.scale, None if half is None else half * abs(self.scale))
         if not self.words:
             return f"{self.coefficient} {number}" + ("" if self.unit == "1" else f" {self.unit}")

@@ -187,6 +187,7 @@ def test_coefficient_is_described_in_words():
     )
     assert get("standby").in_words(150.0) == "something takes 150 W all the time"
     assert get("auxiliary").in_words(150.0, 20.0) == "constant power 150 ± 20 W"
+    assert get("auxiliary").in_words(150.0, 2e4) == "constant power: these data do not determine it"
     assert replace(get("rolling"), words="").in_words(0.0123) == "rolling resistance coefficient 0.012"
 
 
