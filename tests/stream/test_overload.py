@@ -69,7 +69,7 @@ class EndlessReceiver:
         self.given += 5
         return 5
 
-    def predict_block(self, messages: int, size: int) -> None:
+    def brake(self) -> None:
         pass
 
     def end(self) -> None:
@@ -108,6 +108,33 @@ def test_full_queue_is_told_and_nothing_is_lost(caplog):
                 stop.set()
         thread.join()
     assert [message.payload for message in got] == [message.payload for message in sent]
+
+
+def test_channels_hold_few_large_lists_while_the_queue_is_full(caplog):
+    count, stop, sent = 400, Event(), []
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        source = ZenohSource(node, stop, queue_bytes=2e6)
+        sink = ZenohSink(client)
+        assert eventually(sink.has_subscriber)
+
+        def publish() -> None:
+            for number in range(count):
+                sink.put([LISTS[number % 3]._replace(payload=LISTS[0].payload + b" " * number)])
+                sent.append(number)
+
+        thread = Thread(target=publish)
+        thread.start()
+        got = 0
+        for messages in source:
+            if not got:
+                assert eventually(lambda: "the consumer is behind" in caplog.text)
+                time.sleep(2.0)
+                assert len(sent) < count / 2, "publishers wait"
+            got += len(messages)
+            if got == count:
+                stop.set()
+        thread.join()
+    assert got == count
 
 
 def test_payload_beyond_the_limit_of_a_session_does_not_arrive():

@@ -76,6 +76,26 @@ def test_tokens_of_a_stranger_whose_caches_never_answer_delay_nobody_else():
     assert max(late[20:]) < LATEST_S  # the first wait for the answers of their own session
 
 
+def test_samples_lost_on_the_way_are_asked_for_and_come_in_their_order():
+    got: list[int] = []
+    with RouterProcess() as router, router.join() as node, router.join() as taxi:
+        sink = ZenohSink(taxi)
+        with consuming(node, lambda messages: got.extend(int(each.payload) for each in messages)) as source:
+            receive = source._receiver._receive
+
+            def lose(most):
+                return [each for each in receive(most) if int(each.payload.to_bytes()) not in {3, 4, 7}]
+
+            source._receiver._receive = lose
+            for number in range(10):
+                sink.put([Message("fleet/taxi/telemetry", b"%d" % number, 0)])
+                time.sleep(0.02)
+            assert eventually(lambda: len(set(got)) == 10)
+            assert source.missed == 0
+        sink.close()
+    assert list(dict.fromkeys(got)) == list(range(10))
+
+
 def test_publisher_of_many_new_keys_at_full_speed_loses_nothing_to_a_slow_consumer():
     got: dict[str, list[int]] = {}
     pauses: list[float] = []
