@@ -142,19 +142,21 @@ class CacheHistory:
         return out
 
     def ask_again(self, sample: Any, key: str, first: int, now: float) -> bool:
-        """Ask the cache of a sample's publisher for the numbers from `first` on; return whether the sample has to wait.
+        """Ask the cache of a sample's publisher from a number on; return whether the sample has to wait.
 
-        Units: now [s].
+        Where many publishers have gaps, the sessions are asked of which they are.
         """
-        source = sample.source_info
-        name, number = str(source.source_id.zid), source.source_id.eid
-        label = f"{name}/{number}/{key}"
-        asked = sum([key in each.keys for each in self._questions.values()])
-        if not self._tokens or label in self._questions or asked >= RETURNS or len(self._questions) >= MOST_ASKED:
+        name, number = _find_session(sample), sample.source_info.source_id.eid
+        label, asked = f"{name}/{number}/{key}", [key in each.keys for each in self._questions.values()]
+        if not self._tokens or label in self._questions or sum(asked) >= RETURNS:
             return False
-        queries = self._ask([f"{key}{_MARK}{name}/{number}/**?_sn={first}.."])
-        self._begin_hold(label, _Question(name, {key}, queries, now, now))
-        return True
+        if len(asked) < MOST_ASKED // 2:
+            self._begin_hold(label, name, {key}, [f"{key}{_MARK}{name}/{number}/**?_sn={first}.."], now)
+        else:
+            self._has_answered.discard(name)
+            self._note_coming(name, key, now)
+            self._ask_sessions(now)
+        return name in self._holding.get(key, {})
 
     def release(self, now: float, *, everything: bool = False) -> tuple[list[Any], list[Any]]:
         """Return the live samples that need not wait any longer, and the answers for which they waited.
@@ -273,9 +275,8 @@ class CacheHistory:
                 continue
             del self._to_ask[label]
             if (tokens := self._sessions.get(name)) and name not in self._has_answered:
-                queries = self._ask([f"{space}{name}/**" for space in sorted(set(tokens.values()))])
-                keys = {token.partition(_MARK)[0] for token in tokens}
-                self._begin_hold(name, _Question(name, keys, queries, now, now))
+                selectors = [f"{space}{name}/**" for space in sorted(set(tokens.values()))]
+                self._begin_hold(name, name, {token.partition(_MARK)[0] for token in tokens}, selectors, now)
 
     def _read_answers(self, now: float) -> None:
         """Take the answers to all questions."""
@@ -289,10 +290,10 @@ class CacheHistory:
             if question.session == _ALL:
                 self._has_answered |= {_find_session(each) for each in found}
 
-    def _begin_hold(self, label: str, question: _Question) -> None:
-        """Let live samples wait for the answers to a question."""
-        self._questions[label] = question
-        for key in question.keys:
+    def _begin_hold(self, label: str, name: str, keys: set[str], selectors: Sequence[str], now: float) -> None:
+        """Ask caches of a session, and let its live samples of these keys wait for the answers."""
+        question = self._questions[label] = _Question(name, keys, self._ask(selectors), now, now)
+        for key in keys:
             self._hold_key(key, question)
 
     def _hold_key(self, key: str, question: _Question) -> None:
