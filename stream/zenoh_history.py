@@ -7,10 +7,11 @@ has. A further publisher of a session that is there was never cut off, and is no
 publisher show a gap, its cache alone is asked, and only from there on.
 
 At the start and after the return of the router, all live samples wait for answers, at most `HOLD_S`. Otherwise only
-those wait whose session or publisher is asked, so that none holds up another: until answers have come, at most
-`FIRST_S` for the first one, as anybody else may leave the question open. What comes later is passed on late. Sessions
+those wait whose session or publisher is asked, so that none holds up another: a publisher for the end of its answers,
+and a session at most `FIRST_S` for the first one, as anybody else may leave the question open. What comes later is
+passed on late. Sessions
 of a key that come and go, as over a poor link, are asked at most `RETURNS` times in `RETURNS_S`; after that the last
-one once this time is over. At most `MOST_ASKED` questions are open at a time.
+one once this time is over. At most `MOST_ASKED` sessions are asked at a time.
 """
 
 import logging
@@ -45,11 +46,13 @@ HOLD_BYTES: Final = 1 << 26
 HOLD_BYTES_EACH: Final = HOLD_BYTES // 4
 """Size of those of one session; more end its wait. [B]"""
 RETURNS: Final = 4
-"""Number of times that sessions of a key may come within `RETURNS_S`, and of open questions on it, to ask at once."""
+"""Number of times that sessions of a key may come within `RETURNS_S`, and of its publishers that may wait at a time."""
 RETURNS_S: Final = 60.0
 """Time in which the comings of sessions of a key are counted. [s]"""
 MOST_ASKED: Final = 64
-"""Largest number of questions that are open at a time."""
+"""Largest number of sessions that are asked at a time."""
+MOST_GAPS: Final = 1 << 10
+"""Largest number of questions, from which on nobody is asked for a gap."""
 MOST_SESSIONS: Final = 1 << 16
 """Largest number of sessions, and of keys, that are remembered."""
 _ANSWERS: Final = 1 << 8
@@ -68,6 +71,7 @@ class _Question:
     queries: list[Any] = field(default_factory=list)
     asked_s: float = inf
     quiet_from: float = inf
+    is_exact: bool = False  # whether all is known once the queries have ended
     is_holding: bool = True
     has_answered: bool = False
     held: list[Any] = field(default_factory=list)
@@ -142,21 +146,14 @@ class CacheHistory:
         return out
 
     def ask_again(self, sample: Any, key: str, first: int, now: float) -> bool:
-        """Ask the cache of a sample's publisher from a number on; return whether the sample has to wait.
-
-        Where many publishers have gaps, the sessions are asked of which they are.
-        """
+        """Ask the cache of a sample's publisher from a number on; return whether the sample has to wait."""
         name, number = _find_session(sample), sample.source_info.source_id.eid
-        label, asked = f"{name}/{number}/{key}", [key in each.keys for each in self._questions.values()]
-        if not self._tokens or label in self._questions or sum(asked) >= RETURNS:
+        label, waiting = f"{name}/{number}/{key}", self._holding.get(key, {})
+        if not self._tokens or label in self._questions or len(waiting) >= RETURNS or len(self._questions) >= MOST_GAPS:
             return False
-        if len(asked) < MOST_ASKED // 2:
-            self._begin_hold(label, name, {key}, [f"{key}{_MARK}{name}/{number}/**?_sn={first}.."], now)
-        else:
-            self._has_answered.discard(name)
-            self._note_coming(name, key, now)
-            self._ask_sessions(now)
-        return name in self._holding.get(key, {})
+        queries = self._ask([f"{key}{_MARK}{name}/{number}/**?_sn={first}.."])
+        self._begin_hold(label, _Question(name, {key}, queries, now, now, is_exact=True))
+        return True
 
     def release(self, now: float, *, everything: bool = False) -> tuple[list[Any], list[Any]]:
         """Return the live samples that need not wait any longer, and the answers for which they waited.
@@ -246,13 +243,14 @@ class CacheHistory:
 
     def _must_hold(self, question: _Question, now: float) -> bool:
         """Return whether the live samples that wait for answers must wait on."""
-        waited_s, is_done = now - question.asked_s, now - question.quiet_from >= SETTLE_S
+        waited_s = now - question.asked_s
+        is_done = question.is_exact or now - question.quiet_from >= SETTLE_S
         if question.session == _ALL:
             others = any(each.is_holding for each in self._questions.values() if each is not question)
             is_done = is_done and not (question.queries or self._gone or others)
             return self._is_cut_off or not (is_done or waited_s >= HOLD_S)
-        if question.queries and not question.has_answered:
-            is_done = waited_s >= FIRST_S
+        if question.queries and (question.is_exact or not question.has_answered):
+            is_done = waited_s >= (ANSWER_S if question.is_exact else FIRST_S)
         return not (is_done or waited_s >= HOLD_S or question.size > HOLD_BYTES_EACH)
 
     def _ask_all(self, now: float) -> None:
@@ -271,12 +269,13 @@ class CacheHistory:
             return
         due = [(label, name) for label, (name, moment) in self._to_ask.items() if moment <= now]
         for label, name in due:
-            if name in self._questions or len(self._questions) >= MOST_ASKED:
+            if name in self._questions or sum("/" not in each for each in self._questions) >= MOST_ASKED:
                 continue
             del self._to_ask[label]
             if (tokens := self._sessions.get(name)) and name not in self._has_answered:
-                selectors = [f"{space}{name}/**" for space in sorted(set(tokens.values()))]
-                self._begin_hold(name, name, {token.partition(_MARK)[0] for token in tokens}, selectors, now)
+                queries = self._ask([f"{space}{name}/**" for space in sorted(set(tokens.values()))])
+                keys = {token.partition(_MARK)[0] for token in tokens}
+                self._begin_hold(name, _Question(name, keys, queries, now, now))
 
     def _read_answers(self, now: float) -> None:
         """Take the answers to all questions."""
@@ -290,10 +289,10 @@ class CacheHistory:
             if question.session == _ALL:
                 self._has_answered |= {_find_session(each) for each in found}
 
-    def _begin_hold(self, label: str, name: str, keys: set[str], selectors: Sequence[str], now: float) -> None:
-        """Ask caches of a session, and let its live samples of these keys wait for the answers."""
-        question = self._questions[label] = _Question(name, keys, self._ask(selectors), now, now)
-        for key in keys:
+    def _begin_hold(self, label: str, question: _Question) -> None:
+        """Let live samples wait for the answers to a question."""
+        self._questions[label] = question
+        for key in question.keys:
             self._hold_key(key, question)
 
     def _hold_key(self, key: str, question: _Question) -> None:
@@ -307,7 +306,8 @@ class CacheHistory:
         for key in question.keys:
             if (asked := self._holding.get(key, {})).get(question.session) is question:
                 del asked[question.session]
-        self._holding = {key: asked for key, asked in self._holding.items() if asked}
+            if not asked:
+                self._holding.pop(key, None)
 
     def _ask(self, selectors: Sequence[str]) -> list[Any]:
         """Return queries to caches."""

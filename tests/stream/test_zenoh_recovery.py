@@ -5,6 +5,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import contextmanager
+from random import Random
 from threading import Event, Thread
 
 from socast.core.wire.messages import Message
@@ -77,23 +78,33 @@ def test_tokens_of_a_stranger_whose_caches_never_answer_delay_nobody_else():
 
 
 def test_samples_lost_on_the_way_are_asked_for_and_come_in_their_order():
-    got: list[int] = []
+    got: dict[str, list[int]] = {}
+    random, lost = Random(1), list[str]()
+
+    def take(messages):
+        for each in messages:
+            got.setdefault(each.key, []).append(int(each.payload))
+
     with RouterProcess() as router, router.join() as node, router.join() as taxi:
         sink = ZenohSink(taxi)
-        with consuming(node, lambda messages: got.extend(int(each.payload) for each in messages)) as source:
+        with consuming(node, take) as source:
             receive = source._receiver._receive
 
             def lose(most):
-                return [each for each in receive(most) if int(each.payload.to_bytes()) not in {3, 4, 7}]
+                arrived = receive(most)
+                kept = [each for each in arrived if each.payload.to_bytes() == b"49" or random.random() < 0.7]
+                lost.extend(str(each.key_expr) for each in arrived if each not in kept)
+                return kept
 
             source._receiver._receive = lose
-            for number in range(10):
-                sink.put([Message("fleet/taxi/telemetry", b"%d" % number, 0)])
-                time.sleep(0.02)
-            assert eventually(lambda: len(set(got)) == 10)
+            for number in range(50):
+                sink.put([Message(f"fleet/{car}/telemetry", b"%d" % number, 0) for car in range(20)])
+                time.sleep(0.01)
+            assert eventually(lambda: sum(len(set(numbers)) for numbers in got.values()) == 20 * 50)
             assert source.missed == 0
         sink.close()
-    assert list(dict.fromkeys(got)) == list(range(10))
+    assert len(lost) > 100
+    assert all(list(dict.fromkeys(numbers)) == list(range(50)) for numbers in got.values())
 
 
 def test_publisher_of_many_new_keys_at_full_speed_loses_nothing_to_a_slow_consumer():
