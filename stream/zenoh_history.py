@@ -7,11 +7,11 @@ has. A further publisher of a session that is there was never cut off, and is no
 publisher show a gap, its cache alone is asked, and only from there on.
 
 At the start and after the return of the router, all live samples wait for answers, at most `HOLD_S`. Otherwise only
-those wait whose session or publisher is asked, so that none holds up another: a publisher for the end of its answers,
-and a session at most `FIRST_S` for the first one, as anybody else may leave the question open. What comes later is
-passed on late. Sessions
-of a key that come and go, as over a poor link, are asked at most `RETURNS` times in `RETURNS_S`; after that the last
-one once this time is over. At most `MOST_ASKED` sessions are asked at a time.
+those wait whose session or publisher is asked, so that none holds up another: those of a publisher for the end of its
+answers, and those of a session at most `FIRST_S` for the first one, as anybody else may leave the question open. What
+comes later is passed on late. Sessions of a key that come and go, as over a poor link, are asked at most `RETURNS`
+times in `RETURNS_S`; after that the last one once this time is over. At most `MOST_ASKED` sessions and `MOST_GAPS`
+publishers are asked at a time.
 """
 
 import logging
@@ -246,8 +246,8 @@ class CacheHistory:
         waited_s = now - question.asked_s
         is_done = question.is_exact or now - question.quiet_from >= SETTLE_S
         if question.session == _ALL:
-            others = any(each.is_holding for each in self._questions.values() if each is not question)
-            is_done = is_done and not (question.queries or self._gone or others)
+            sessions = [each for each in self._questions.values() if each.session != _ALL and not each.is_exact]
+            is_done = is_done and not (question.queries or self._gone or any(each.is_holding for each in sessions))
             return self._is_cut_off or not (is_done or waited_s >= HOLD_S)
         if question.queries and (question.is_exact or not question.has_answered):
             is_done = waited_s >= (ANSWER_S if question.is_exact else FIRST_S)

@@ -390,6 +390,24 @@ def test_only_a_publisher_with_a_gap_is_asked_and_waits():
     assert history.withhold([revealing], str) == [revealing]
 
 
+def test_the_gap_of_a_stranger_whose_cache_never_answers_holds_up_nobody_after_the_return_of_the_router():
+    node = FakeNode()
+    history = start(node)
+    assert history.ask_again(sample(b"", number=5), KEY, 3, 1.0)
+    node.asked.clear()
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    node.routers = []
+    history.collect(1.0)
+    node.routers = ["router"]
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(2.0)
+    node.answer()
+    history.collect(2.0)
+    node.answer()
+    history.collect(2.0)
+    assert not waits(history, 2.0 + AFTER)
+
+
 def test_gaps_of_strangers_take_few_places():
     node = FakeNode()
     history = start(node)
