@@ -166,10 +166,10 @@ class ZenohReceiver:
         While caches are asked, live samples are held, and then all are returned together in their order. A publisher's
         token comes before its samples, so the tokens are looked at after the samples.
         """
-        self._release_brake()
-        if self._nap_s:
-            time.sleep(self._nap_s)
+        time.sleep(self._nap_s)
         samples = self._receive(self._block)
+        if len(samples) < self._block:
+            self._release_brake()
         self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
         self._keys.begin_list_if_full(self._gaps)
         messages, recovered = self._order(samples, stopping=stopping)
@@ -179,7 +179,7 @@ class ZenohReceiver:
         return Received(messages, recovered, len(samples))
 
     def brake(self) -> None:
-        """Let publishers wait from now on, as the channels are limited by a number of samples of any size.
+        """Let publishers wait until the channels are empty, as these are limited by a number of samples of any size.
 
         Zenoh hands each sample to all subscribers, and waits where a channel of one sample cannot take the second one.
         """
