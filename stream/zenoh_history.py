@@ -1,30 +1,23 @@
-"""Ask the caches of publishers for what a consumer missed: at its start, and whenever a session appears again.
+"""Ask the caches of publishers for what a consumer missed: at its start, when a session appears again, and at gaps.
 
 A publisher that numbers its samples keeps the last ones in a cache, and a liveliness token shows that it is there. The
-tokens of a session vanish when it, the router or a link between them is lost, and come again afterwards. The consumer
-then asks the caches of the session for all that they hold, and the pipeline drops what it has. A further publisher of a
-session that is there was never cut off, and is not asked.
+tokens of a session vanish when it, the router or a link between them is lost, and come again afterwards, mostly before
+its next sample. The consumer then asks the caches of the session for all that they hold, and the pipeline drops what it
+has. A further publisher of a session that is there was never cut off, and is not asked. Where the numbers of a
+publisher show a gap, its cache alone is asked, and only from there on.
 
 At the start and after the return of the router, all live samples wait for answers, at most `HOLD_S`. Otherwise only
-those of the session wait that is asked, so that no session holds up another: until its answers have come, at most
-`FIRST_S` for the first one, as anybody else may leave the question open. What comes later is passed on late. Sessions
-of a key that come and go, as over a poor link, are asked at most `RETURNS` times in `RETURNS_S`; after that the last
-one once this time is over. At most `MOST_ASKED` sessions are asked at a time.
-
-Notes
------
-The module allows for this observed behaviour of zenoh 1.10:
-
-- The history of an advanced subscriber is incomplete. If a live sample of a publisher overtakes the answer of its
-  cache, the subscriber drops the answer, because it is older than the live sample, and does not count a miss. After a
-  restart of the router this lost 388 of 12,000 samples. The caches are therefore asked by separate queries.
-- A token of a publisher comes again before its next sample. If the router itself was away, it may come after it.
+those wait whose session or publisher is asked, so that none holds up another: those of a publisher for the end of its
+answers, and those of a session at most `FIRST_S` for the first one, as anybody else may leave the question open. What
+comes later is passed on late. Sessions of a key that come and go, as over a poor link, are asked at most `RETURNS`
+times in `RETURNS_S`; after that the last one once this time is over. At most `MOST_ASKED` sessions and `MOST_GAPS`
+publishers are asked at a time.
 """
 
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, islice
 from math import inf, isfinite
 from typing import Any, Final
 
@@ -53,42 +46,42 @@ HOLD_BYTES: Final = 1 << 26
 HOLD_BYTES_EACH: Final = HOLD_BYTES // 4
 """Size of those of one session; more end its wait. [B]"""
 RETURNS: Final = 4
-"""Number of times that sessions of a key may come within `RETURNS_S` for their caches to be asked at once."""
+"""Number of times that sessions of a key may come within `RETURNS_S`, and of its publishers that may wait at a time."""
 RETURNS_S: Final = 60.0
 """Time in which the comings of sessions of a key are counted. [s]"""
 MOST_ASKED: Final = 64
 """Largest number of sessions that are asked at a time."""
+MOST_GAPS: Final = 1 << 10
+"""Largest number of questions, from which on nobody is asked for a gap."""
 MOST_SESSIONS: Final = 1 << 16
 """Largest number of sessions, and of keys, that are remembered."""
 _ANSWERS: Final = 1 << 8
 _TOKENS: Final = 1 << 16
+_ALL: Final = ""
 _MARK: Final = "/@adv/pub/"  # between the key of a publisher and the identity of its session, in a token
 _log = logging.getLogger("socast.zenoh")
 
 
 @dataclass(eq=False)
-class _Session:
-    """Hold the publishers of a session that are there, and what waits for the answers of their caches."""
+class _Question:
+    """Hold what is asked of the caches of a session, or of all, and what waits for their answers."""
 
-    tokens: set[str] = field(default_factory=set)
-    keys: set[str] = field(default_factory=set)
-    spaces: set[str] = field(default_factory=set)
+    session: str = _ALL
+    keys: set[str] = field(default_factory=set)  # whose live samples wait
     queries: list[Any] = field(default_factory=list)
-    asked_s: float = -inf
-    quiet_from: float = -inf
-    is_holding: bool = False
+    asked_s: float = inf
+    quiet_from: float = inf
+    is_exact: bool = False  # whether all is known once the queries have ended
+    is_holding: bool = True
     has_answered: bool = False
     held: list[Any] = field(default_factory=list)
     answers: list[Any] = field(default_factory=list)
     size: int = 0
 
-    def must_hold(self, now: float) -> bool:
-        """Return whether live samples must wait on."""
-        if self.size > HOLD_BYTES_EACH or now - self.asked_s >= HOLD_S:
-            return False
-        if self.has_answered or not self.queries:
-            return now - self.quiet_from < SETTLE_S
-        return now - self.asked_s < FIRST_S
+    def hold(self, samples: Sequence[Any]) -> None:
+        """Let live samples wait."""
+        self.held += samples
+        self.size += sum([len(each.payload) for each in samples])
 
 
 class CacheHistory:
@@ -105,95 +98,81 @@ class CacheHistory:
         self._session = node.session
         self._spaces = [f"{space}{_MARK}" for space in spaces]
         self._must_ask_all = True
-        self._queries: list[Any] = []  # to all
         self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
         self._gone: dict[str, float] = {}  # token -> time until which it is awaited
-        self._sessions: dict[str, _Session] = {}
+        self._sessions: dict[str, dict[str, str]] = {}  # session -> its tokens, and the space of each
         self._comings: dict[str, tuple[float, int]] = {}  # key -> since when, and how often, its sessions have come
         self._to_ask: dict[str, tuple[str, float]] = {}  # session, or key -> session, and time from which it is asked
         self._has_answered: set[str] = set()  # sessions, since all were asked
-        self._asked: dict[str, _Session] = {}
-        self._holding: dict[str, set[str]] = {}  # key -> sessions whose live samples wait
-        self._quiet_from = -inf
-        self._began: float | None = None  # of the wait for all
+        self._questions: dict[str, _Question] = {_ALL: _Question()}
+        self._holding: dict[str, dict[str, _Question]] = {}  # key, session -> what its live samples wait for
         channel: Any = handlers.RingChannel
         self._tokens: list[Any] = [
             node.session.liveliness().declare_subscriber(f"{keys}**", channel(_TOKENS), history=True)
             for keys in self._spaces
         ]
 
-    def collect(self, now: float) -> list[Any]:
-        """Return the answers for which all live samples wait, and ask sessions that have appeared.
+    def collect(self, now: float) -> None:
+        """Take what has come of tokens and answers, and ask the caches that are due.
 
         Units: now [s].
         """
         for space, subscriber in zip(self._spaces, self._tokens, strict=False):
-            tokens, _ = _receive(subscriber.handler)
-            self._take_tokens(space, tokens, now)
+            self._take_tokens(space, _receive(subscriber.handler)[0], now)
         self._watch_link(now)
-        out, self._queries = _drain(self._queries)
-        self._has_answered |= {_find_session(each) for each in out}
-        if self._must_ask_all:
-            self._must_ask_all = False
-            self._to_ask.clear()
-            self._has_answered.clear()
-            self._began = now
-            self._queries = self._ask([f"{space}**" for space in self._spaces])
-        if self._queries or out:
-            self._quiet_from = now
-        self._ask_sessions(now)
         self._read_answers(now)
-        return out
+        self._ask_all(now)
+        self._ask_sessions(now)
 
-    def is_waiting(self, now: float) -> bool:
-        """Return whether all live samples must wait.
-
-        Units: now [s].
-        """
-        if self._is_cut_off:
-            return True
-        if self._began is None:
-            return False
-        is_asking = any(each.is_holding for each in self._asked.values())
-        if (self._gone or is_asking or now - self._quiet_from < SETTLE_S) and now - self._began < HOLD_S:
-            return True
-        self._began = None
-        return False
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether all live samples wait."""
+        return (of_all := self._questions.get(_ALL)) is not None and of_all.is_holding
 
     def withhold(self, samples: list[Any], find_text: Callable[[Any], str]) -> list[Any]:
-        """Return the live samples that need not wait; the others wait for the caches of their session."""
+        """Return the live samples that need not wait; the others wait for the caches of their session, or of all."""
+        if self.is_waiting:
+            self._questions[_ALL].hold(samples)
+            return []
         if not self._holding:
             return samples
         out: list[Any] = []
         for sample in samples:
-            whose = self._holding.get(find_text(sample.key_expr))
-            if whose and (name := _find_session(sample)) in whose:
-                waiting = self._asked[name]
-                waiting.held.append(sample)
-                waiting.size += len(sample.payload)
+            asked = self._holding.get(find_text(sample.key_expr))
+            if asked and (question := asked.get(_find_session(sample))):
+                question.hold([sample])
             else:
                 out.append(sample)
         return out
 
+    def ask_again(self, sample: Any, key: str, first: int, now: float) -> bool:
+        """Ask the cache of a sample's publisher from a number on; return whether the sample has to wait."""
+        name, number = _find_session(sample), sample.source_info.source_id.eid
+        label, waiting = f"{name}/{number}/{key}", self._holding.get(key, {})
+        if not self._tokens or label in self._questions or len(waiting) >= RETURNS or len(self._questions) >= MOST_GAPS:
+            return False
+        queries = self._ask([f"{key}{_MARK}{name}/{number}/**?_sn={first}.."])
+        self._begin_hold(label, _Question(name, {key}, queries, now, now, is_exact=True))
+        return True
+
     def release(self, now: float, *, everything: bool = False) -> tuple[list[Any], list[Any]]:
-        """Return the live samples of sessions that need not wait any longer, and the answers of their caches.
+        """Return the live samples that need not wait any longer, and the answers for which they waited.
 
         Units: now [s].
         """
+        must_end = everything or sum([each.size for each in self._questions.values()]) > HOLD_BYTES
+        for name in sorted(self._questions, reverse=True):  # all wait for the sessions that are asked
+            if (each := self._questions[name]).is_holding and (must_end or not self._must_hold(each, now)):
+                self._end_hold(each)
         live: list[Any] = []
         answers: list[Any] = []
-        is_full = sum([each.size for each in self._asked.values()]) > HOLD_BYTES
-        for name, each in list(self._asked.items()):
-            if each.is_holding and (everything or is_full or not each.must_hold(now)):
-                self._end_hold(name, each)
+        for name, each in [] if self.is_waiting else list(self._questions.items()):
             if not each.is_holding:
                 live += each.held
                 answers += each.answers
-                has_ended = everything or not each.queries or now - each.asked_s >= HOLD_S
-                if has_ended or each.size > HOLD_BYTES_EACH or is_full:
-                    each.queries = []
-                    del self._asked[name]
                 each.held, each.answers, each.size = [], [], 0
+                if everything or not each.queries or now - each.asked_s >= HOLD_S:
+                    del self._questions[name]
         return live, answers
 
     def close(self) -> None:
@@ -201,9 +180,8 @@ class CacheHistory:
         while self._tokens:
             self._tokens.pop().undeclare()
         self._must_ask_all = False
-        self._queries.clear()
         self._to_ask.clear()
-        for each in self._asked.values():
+        for each in self._questions.values():
             each.queries = []
 
     def _take_tokens(self, space: str, tokens: Sequence[Any], now: float) -> None:
@@ -214,36 +192,30 @@ class CacheHistory:
             if key.endswith("/forecast"):
                 continue
             name = rest.partition("/")[0]
-            session = self._sessions.get(name) or self._note_session(name)
+            session = self._note_session(name)
             if token.kind == zenoh.SampleKind.PUT:
                 self._gone.pop(text, None)
-                if not session.tokens:
-                    self._note_coming(name, session, key, now)
-                session.tokens.add(text)
-                session.keys.add(key)
-                session.spaces.add(space)
-                if session.is_holding:
-                    self._holding.setdefault(key, set()).add(name)
+                if not session:
+                    self._note_coming(name, key, now)
+                session[text] = space
+                if (question := self._questions.get(name)) and question.is_holding:
+                    self._hold_key(key, question)
             else:
-                session.tokens.discard(text)
-                if not session.tokens:
+                session.pop(text, None)
+                if not session:
                     self._has_answered.discard(name)  # what it publishes while it is away is asked for when it returns
                 if self._is_client:
                     self._gone[text] = now + DOUBT_S
 
-    def _note_session(self, name: str) -> _Session:
-        """Remember a session; where they are many, forget those that have gone, or else all that are not asked."""
-        for may_stay in (True, False):
-            if len(self._sessions) >= MOST_SESSIONS:
-                kept = {each for each, session in self._sessions.items() if may_stay and session.tokens}
-                self._sessions = {each: self._sessions[each] for each in kept} | self._asked
-        session = self._sessions[name] = _Session()
-        return session
+    def _note_session(self, name: str) -> dict[str, str]:
+        """Return the tokens of a session; where sessions are many, forget those that have gone, or else all."""
+        if name not in self._sessions and len(self._sessions) >= MOST_SESSIONS:
+            there = {each: tokens for each, tokens in self._sessions.items() if tokens}
+            self._sessions = there if len(there) < MOST_SESSIONS else {}
+        return self._sessions.setdefault(name, {})
 
-    def _note_coming(self, name: str, session: _Session, key: str, now: float) -> None:
+    def _note_coming(self, name: str, key: str, now: float) -> None:
         """Plan when to ask a session that has come; at once unless sessions of its key come too often."""
-        if name not in self._asked:
-            session.keys, session.spaces = set(), set()
         since, number = self._comings.pop(key, (now, 0))
         since, number = (since, number + 1) if now - since <= RETURNS_S else (now, 1)
         self._comings[key] = since, number
@@ -256,58 +228,86 @@ class CacheHistory:
                 del bounded[next(iter(bounded))]
 
     def _watch_link(self, now: float) -> None:
-        """Wait while the router is away, and afterwards for the publishers that were there before, for `RETURN_S`.
-
-        The first live samples of a publisher that returns with its router may come before its token.
-        """
+        """Wait while the router is away, and afterwards for the publishers that were there before, for `RETURN_S`."""
         if not self._gone and not self._is_cut_off:
             return
-        has_router = bool(self._session.info.routers_zid())
-        if self._is_cut_off and has_router:
+        was_cut_off, self._is_cut_off = self._is_cut_off, not self._session.info.routers_zid()
+        if self._is_cut_off:
+            if not was_cut_off:
+                self._questions.setdefault(_ALL, _Question()).is_holding = True
+            return
+        if was_cut_off:
             self._must_ask_all = True
             self._gone = dict.fromkeys(self._gone, now + RETURN_S)
-        self._is_cut_off = not has_router
-        if has_router:
-            for token in [token for token, moment in self._gone.items() if moment <= now]:
-                del self._gone[token]
+        self._gone = {token: moment for token, moment in self._gone.items() if moment > now}
+
+    def _must_hold(self, question: _Question, now: float) -> bool:
+        """Return whether the live samples that wait for answers must wait on."""
+        waited_s = now - question.asked_s
+        is_done = question.is_exact or now - question.quiet_from >= SETTLE_S
+        if question.session == _ALL:
+            sessions = [each for each in self._questions.values() if each.session != _ALL and not each.is_exact]
+            is_done = is_done and not (question.queries or self._gone or any(each.is_holding for each in sessions))
+            return self._is_cut_off or not (is_done or waited_s >= HOLD_S)
+        if question.queries and (question.is_exact or not question.has_answered):
+            is_done = waited_s >= (ANSWER_S if question.is_exact else FIRST_S)
+        return not (is_done or waited_s >= HOLD_S or question.size > HOLD_BYTES_EACH)
+
+    def _ask_all(self, now: float) -> None:
+        """Ask the caches of all at the start, and after the return of the router."""
+        if self._must_ask_all:
+            self._must_ask_all = False
+            self._to_ask.clear()
+            self._has_answered.clear()
+            question = self._questions.setdefault(_ALL, _Question())
+            question.is_holding, question.asked_s, question.quiet_from = True, now, now
+            question.queries = self._ask([f"{space}**" for space in self._spaces])
 
     def _ask_sessions(self, now: float) -> None:
         """Ask the caches of sessions that are due, as many as may be asked at a time, once all have answered."""
-        if not self._to_ask or self._queries or len(self._asked) >= MOST_ASKED:
+        if not self._to_ask or (_ALL in self._questions and self._questions[_ALL].queries):
             return
         due = [(label, name) for label, (name, moment) in self._to_ask.items() if moment <= now]
         for label, name in due:
-            if name in self._asked or len(self._asked) >= MOST_ASKED:
+            if name in self._questions or sum("/" not in each for each in self._questions) >= MOST_ASKED:
                 continue
             del self._to_ask[label]
-            session = self._sessions.get(name)
-            if session is None or not session.tokens or name in self._has_answered:
-                continue
-            self._asked[name] = session
-            session.asked_s = session.quiet_from = now
-            session.is_holding, session.has_answered = True, False
-            session.queries = self._ask([f"{space}{name}/**" for space in sorted(session.spaces)])
-            for key in session.keys:
-                self._holding.setdefault(key, set()).add(name)
+            if (tokens := self._sessions.get(name)) and name not in self._has_answered:
+                queries = self._ask([f"{space}{name}/**" for space in sorted(set(tokens.values()))])
+                keys = {token.partition(_MARK)[0] for token in tokens}
+                self._begin_hold(name, _Question(name, keys, queries, now, now))
 
     def _read_answers(self, now: float) -> None:
-        """Take the answers of the sessions that are asked."""
-        for session in self._asked.values():
-            found, still = _drain(session.queries)
-            if found or len(still) < len(session.queries):
-                session.quiet_from = now
-            session.queries, session.has_answered = still, session.has_answered or bool(found)
-            session.answers += found
-            session.size += sum([len(each.payload) for each in found])
+        """Take the answers to all questions."""
+        for question in self._questions.values():
+            found, still = _drain(question.queries)
+            if found or len(still) < len(question.queries):
+                question.quiet_from = now
+            question.queries, question.has_answered = still, question.has_answered or bool(found)
+            question.answers += found
+            question.size += sum([len(each.payload) for each in found])
+            if question.session == _ALL:
+                self._has_answered |= {_find_session(each) for each in found}
 
-    def _end_hold(self, name: str, session: _Session) -> None:
-        """Let the live samples of a session wait no longer."""
-        session.is_holding = False
-        for key in session.keys:
-            if whose := self._holding.get(key):
-                whose.discard(name)
-                if not whose:
-                    del self._holding[key]
+    def _begin_hold(self, label: str, question: _Question) -> None:
+        """Let live samples wait for the answers to a question."""
+        self._questions[label] = question
+        for key in question.keys:
+            self._hold_key(key, question)
+
+    def _hold_key(self, key: str, question: _Question) -> None:
+        """Let the live samples of a key wait for the answers to a question, unless they wait for others."""
+        question.keys.add(key)
+        self._holding.setdefault(key, {}).setdefault(question.session, question)
+
+    def _end_hold(self, question: _Question) -> None:
+        """Let live samples wait no longer for the answers to a question."""
+        question.is_holding = False
+        for key in question.keys:
+            if (asked := self._holding.get(key, {})).get(question.session) is question:
+                del asked[question.session]
+            if not asked:
+                self._holding.pop(key, None)
 
     def _ask(self, selectors: Sequence[str]) -> list[Any]:
         """Return queries to caches."""
@@ -404,8 +404,7 @@ def _receive(channel: Any) -> tuple[list[Any], bool]:
     """Return what a channel holds, and whether nothing more can come."""
     out: list[Any] = []
     try:
-        while (item := channel.try_recv()) is not None:
-            out.append(item)
+        out.extend(islice(iter(channel.try_recv, None), _TOKENS))
     except zenoh.ZError:
         return out, True
     return out, False

@@ -1,54 +1,42 @@
 """The Zenoh subscribers: samples of a fleet and its weather, with what the caches of publishers hold in its place.
 
-One advanced subscriber receives the fleet and one the weather. They request missed samples from advanced publishers and
-count those that they could not get. At the start, and when sessions appear, the receiver asks their caches
-(`socast.stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
+At the start, when sessions appear, and where the numbers of a publisher show a gap (`socast.stream.zenoh_gaps`), the
+receiver asks caches (`socast.stream.zenoh_history`), and merges answers with live samples in the order of publication.
+Zenoh's advanced subscriber costs more, and drops without a count what live samples overtake (zenoh 1.10).
 
-Notes
------
-The module allows for this observed behaviour of zenoh 1.10:
-
-- An advanced subscriber orders samples that have a timestamp and no source number by timestamp, separately for each
-  router that stamped them. If a router stamps the samples of plain publishers, as `zenohd` does by default, one of two
-  samples that overtake each other in the router is lost. A burst of 180,000 samples from three publishers lost 600.
-  The embedded router does not stamp samples. The receiver logs one warning if another router does.
-- A router and a client in one process share two receiving threads and can wait for each other. Subscribe in the session
-  of the router itself, and publish at high rates from another process.
+A router and a client in one process share two receiving threads of Zenoh and can wait for each other. Subscribe in the
+session of the router itself, and publish at high rates from another process.
 """
 
 import logging
 import time
 from contextlib import suppress
-from datetime import timedelta
 from itertools import chain, filterfalse, islice, repeat
 from math import inf
 from typing import Any, Final, NamedTuple
 
 import zenoh
-from zenoh import ext, handlers
+from zenoh import handlers
 
 from socast.core.wire.message_block import MessageBlock
-from socast.core.wire.messages import BATCH, Message
+from socast.core.wire.messages import BATCH
 from socast.stream.receipt_clock import ReceiptClock
 from socast.stream.source import RecoveredMessage
 from socast.stream.structured_log import event_fields
-from socast.stream.zenoh_history import HOLD_BYTES, CacheHistory, merge_samples
+from socast.stream.zenoh_gaps import SampleGaps
+from socast.stream.zenoh_history import CacheHistory, merge_samples
 from socast.stream.zenoh_session import Node
 
-CHANNEL: Final = 1 << 8
+CHANNEL: Final = 1 << 12
 """Capacity of Zenoh's channels, in samples of any size; a full channel blocks publishers."""
-BLOCK: Final = 256
+BLOCK: Final = 1 << 12
 """Largest number of samples that are taken at once."""
 BLOCK_BYTES: Final = 1 << 22
 """Size of samples that are taken at once, as far as the last samples predict it. [B]"""
 WATCH_S: Final = 1.0
 """Time between two checks of the number of connected routers. [s]"""
 _MOST_KEYS, _MOST_CHARACTERS, _LONGEST_KEY = 100_000, 1 << 23, 512  # that are remembered as text
-_NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
-_NONE: Final = MessageBlock.of([])
-# A heartbeat tells the number of a sample that its publisher may still be waiting to send. What the subscriber then
-# requests is lost when it comes. Zenoh takes heartbeats or a period; zenoh-python 1.10 takes only a timedelta for it.
-_ON_GAPS: Final = ext.RecoveryConfig(periodic_queries=timedelta(days=1), heartbeat=None)  # type: ignore[arg-type]
+_NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.02 s
 _log = logging.getLogger("socast.zenoh")
 
 
@@ -113,10 +101,11 @@ class _Keys(dict[Any, int]):
         """Return the text of a key expression; an empty one for forecasts."""
         return self.texts[number] if (number := self[key]) >= 0 else ""
 
-    def begin_list_if_full(self) -> None:
+    def begin_list_if_full(self, gaps: SampleGaps) -> None:
         """Begin another list of texts where there are many, as strangers may make up keys."""
         if len(self) >= _MOST_KEYS or self._characters >= _MOST_CHARACTERS:
             self.clear()
+            gaps.forget()
             self.texts, self._characters = [], 0
 
 
@@ -143,41 +132,33 @@ def adapt_nap(nap_s: float, fullness: float) -> float:
 
 
 class ZenohReceiver:
-    """Subscribe to a fleet and its weather under one prefix, and take samples from Zenoh's channels.
-
-    Attributes
-    ----------
-    missed : int or None
-        Number of samples that publishers sent but the receiver could not get, as far as publishers number their
-        samples; None if missed samples are not requested.
-    is_catching_up : bool
-        Whether live samples wait for the answers of caches.
-    """
+    """Subscribe to a fleet and its weather under one prefix, and take samples from Zenoh's channels."""
 
     def __init__(self, node: Node) -> None:
-        self.missed: int | None = 0 if node.connection.recovery else None
-        self.is_catching_up = node.connection.recovery
         self._clock = ReceiptClock()
-        self._warned = False
         self._keys = _Keys()
+        self._gaps = SampleGaps()
         self._looked_s = time.monotonic()
         self._session = node.session
-        self._own = str(node.session.zid())
         self._routers = len(node.session.info.routers_zid())
-        spaces = list_spaces(node)
-        self._subscribers = [_subscribe(node, keys) for keys in spaces]
+        self._spaces = list_spaces(node)
+        self._subscribers = [self._subscribe(keys, CHANNEL) for keys in self._spaces]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._batches = self._receivers[-1] if shares_batches(node) else None
+        self._brakes: list[Any] = []
         self._block = BLOCK
         self._nap_s = 0.0
-        self._misses: list[Any] = []
-        self._history: CacheHistory | None = None
-        self._held: list[Any] = []
-        self._answers: list[Any] = []
-        self._held_bytes = 0
-        if node.connection.recovery:
-            self._history = CacheHistory(node, spaces)
-            self._misses = [each.sample_miss_listener(handlers.FifoChannel(CHANNEL)) for each in self._subscribers]
+        self._history = CacheHistory(node, self._spaces) if node.connection.recovery else None
+
+    @property
+    def missed(self) -> int | None:
+        """Return the number of samples that publishers sent but the receiver could not get; None without recovery."""
+        return None if self._history is None else self._gaps.missed
+
+    @property
+    def is_catching_up(self) -> bool:
+        """Return whether all live samples wait for the answers of caches."""
+        return self._history is not None and self._history.is_waiting
 
     def receive(self, *, stopping: bool) -> Received:
         """Return what has come, after a short wait for more where little came the last time.
@@ -185,24 +166,29 @@ class ZenohReceiver:
         While caches are asked, live samples are held, and then all are returned together in their order. A publisher's
         token comes before its samples, so the tokens are looked at after the samples.
         """
-        if self._nap_s:
-            time.sleep(self._nap_s)
+        time.sleep(self._nap_s)
         samples = self._receive(self._block)
+        if len(samples) < self._block:
+            self._release_brake()
         self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
+        self._keys.begin_list_if_full(self._gaps)
         messages, recovered = self._order(samples, stopping=stopping)
-        self._count_misses()
+        if size := messages.size:
+            self._block = max(1, min(BLOCK, BLOCK_BYTES * len(messages) // size))
         self._watch_routers()
         return Received(messages, recovered, len(samples))
 
-    def predict_block(self, messages: int, size: int) -> None:
-        """Take only so many samples at once that they are not much larger than `BLOCK_BYTES`.
+    def brake(self) -> None:
+        """Let publishers wait until the channels are empty, as these are limited by a number of samples of any size.
 
-        Units: size [B].
+        Zenoh hands each sample to all subscribers, and waits where a channel of one sample cannot take the second one.
         """
-        self._block = max(1, min(BLOCK, BLOCK_BYTES * messages // max(1, size)))
+        if not self._brakes:
+            self._brakes = [self._subscribe(keys, 1) for keys in self._spaces]
 
     def end(self) -> None:
         """Receive nothing more; what has arrived can still be taken. A second call has no effect."""
+        self._release_brake()
         while self._subscribers:
             self._subscribers.pop().undeclare()
         if self._history is not None:
@@ -212,68 +198,48 @@ class ZenohReceiver:
         """End, drop what has arrived and was not taken, and return the number of its messages."""
         self.end()
         waiting = self._history.release(inf, everything=True) if self._history is not None else ([], [])
-        rest = merge_samples([*self._held, *self._answers, *chain(*waiting)])
-        self._held, self._answers = [], []
+        rest = merge_samples(list(chain(*waiting)))
         while part := self._receive(CHANNEL):
             rest += part
         return sum([self._keys[each.key_expr] >= 0 for each in rest])
 
+    def _release_brake(self) -> None:
+        """Let publishers wait only where a channel is full."""
+        while self._brakes:
+            self._brakes.pop().undeclare()
+
     def _order(self, samples: list[Any], *, stopping: bool) -> tuple[MessageBlock, bool]:
-        """Return the messages of live samples, or of all that waited where caches have answered, and which of both."""
-        if self._history is not None:
-            samples = self._recover(self._history, samples, stopping=stopping)
-            if self.is_catching_up:
-                return _NONE, False
-        if self._answers:
-            return MessageBlock.of(self._merge()), True
-        samples, self._held = self._held or samples, []
-        if not samples:
-            return _NONE, False
-        self._warn_of_stamps(samples[-1])
-        self._keys.begin_list_if_full()
+        """Return the messages of live samples, after those that waited for caches where these have answered."""
+        answers: list[Any] = []
+        if (history := self._history) is not None:
+            now = time.monotonic()
+            history.collect(now)
+            samples = history.withhold(samples, self._keys.find_text)
+            held, answers = history.release(now, everything=stopping)
+            samples = [*(merge_samples([*held, *answers]) if answers else held), *samples]
+        numbers, samples = self._number(samples)
+        recovered = {id(each) for each in answers}
+
+        def ask(sample: Any, first: int) -> bool:
+            key = self._keys.find_text(sample.key_expr)
+            return id(sample) not in recovered and history is not None and history.ask_again(sample, key, first, now)
+
+        if history is not None and self._gaps.find(numbers, samples, ask):
+            numbers, samples = self._number(history.withhold(samples, self._keys.find_text))
+        payloads = [each.payload.to_bytes() for each in samples]
+        block = MessageBlock.pack(self._keys.texts, numbers, payloads, self._clock.read_ns())
+        if recovered:
+            pairs = zip(block, samples, strict=True)
+            block = MessageBlock.of([RecoveredMessage(*it) if id(each) in recovered else it for it, each in pairs])
+        return block, bool(recovered)
+
+    def _number(self, samples: list[Any]) -> tuple[list[int], list[Any]]:
+        """Return the numbers of the keys of samples, and the samples; without forecasts."""
         numbers = [self._keys[each.key_expr] for each in samples]
-        if min(numbers) < 0:
+        if samples and min(numbers) < 0:
             samples = [each for each, number in zip(samples, numbers, strict=True) if number >= 0]
             numbers = [number for number in numbers if number >= 0]
-        payloads = [each.payload.to_bytes() for each in samples]
-        return MessageBlock.pack(self._keys.texts, numbers, payloads, self._clock.read_ns()), False
-
-    def _recover(self, history: CacheHistory, samples: list[Any], *, stopping: bool) -> list[Any]:
-        """Take the answers of caches, hold the live samples that must wait for them, and return the others.
-
-        If all must wait, or if answers of all have come, all samples that have arrived are held and later merged with
-        the answers. These may be newer than the end of the channel.
-        """
-        now = time.monotonic()
-        answers = history.collect(now)
-        live, of_sessions = history.release(now, everything=stopping)
-        self._held_bytes += sum([len(answer.payload) for answer in answers])
-        self.is_catching_up = history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
-        of_all = self.is_catching_up or bool(answers or self._answers or self._held)
-        self._answers += answers + of_sessions
-        if not of_all:
-            samples = history.withhold(samples, self._keys.find_text)
-            self._held += [*live, *samples] if live or of_sessions else []
-            return samples
-        self._held += live
-        while samples and self._held_bytes < HOLD_BYTES:
-            self._held += samples
-            self._held_bytes += sum([len(sample.payload) for sample in samples])
-            samples = self._receive(self._block)
-        self._held += samples
-        if not self.is_catching_up:
-            self._held_bytes = 0
-        return []
-
-    def _merge(self) -> list[Message]:
-        """Return the live samples that waited and the answers of caches, in the order of publication."""
-        live, answers, self._held, self._answers = self._held, self._answers, [], []
-        recovered, stamp = {id(answer) for answer in answers}, self._clock.read_ns()
-        return [
-            (RecoveredMessage if id(each) in recovered else Message)(key, each.payload.to_bytes(), stamp)
-            for each in merge_samples([*live, *answers])
-            if (key := self._keys.find_text(each.key_expr))
-        ]
+        return numbers, samples
 
     def _receive(self, most: int) -> list[Any]:
         """Return queued samples: all weather, and at most a number of each space of the fleet."""
@@ -301,36 +267,7 @@ class ZenohReceiver:
             _log.log(level, event, extra=event_fields(routers=routers))
             self._routers = routers
 
-    def _count_misses(self) -> None:
-        """Count samples that publishers could not send again."""
-        for listener in self._misses:
-            try:
-                while (miss := listener.try_recv()) is not None:
-                    self.missed = (self.missed or 0) + miss.nb
-            except zenoh.ZError:
-                continue  # the subscription has ended and the listener is empty
-
-    def _warn_of_stamps(self, sample: Any) -> None:
-        """Warn once of a router that stamps the samples of plain publishers."""
-        if self._warned or not self._misses or sample.timestamp is None or sample.source_info is not None:
-            return
-        if str(sample.timestamp.get_id()) in {self._own, *map(str, self._session.info.routers_zid())}:
-            self._warned = True
-            _log.warning(
-                "a router stamps samples for plain publishers, and samples that cross may be lost: "
-                "switch `timestamping` off in the router, or subscribe without recovery"
-            )
-
-
-def _subscribe(node: Node, keys: str) -> Any:
-    """Return a subscriber with its own channel; an advanced one if missed samples are to be requested."""
-    channel: Any = handlers.FifoChannel(CHANNEL)
-    if not node.connection.recovery:
-        return node.session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
-    return ext.declare_advanced_subscriber(
-        node.session,
-        keys,
-        channel,
-        allowed_origin=zenoh.Locality.REMOTE,
-        recovery=_ON_GAPS,
-    )
+    def _subscribe(self, keys: str, capacity: int) -> Any:
+        """Return a subscriber with its own channel."""
+        channel: Any = handlers.FifoChannel(capacity)
+        return self._session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)

@@ -1,8 +1,8 @@
 """The Zenoh source: messages of a fleet that wait for the loop, in a queue that is limited by size.
 
 Zenoh's channels are limited by a number of samples alone. A thread therefore moves the samples from
-`socast.stream.zenoh_receiver` into a queue that is limited by size, and the iteration over the source takes them from
-there.
+`socast.stream.zenoh_receiver` into a queue that is limited by size, and lets publishers wait while it is full. The
+iteration over the source takes them from there.
 """
 
 import logging
@@ -32,6 +32,8 @@ GATHER_S: Final = 0.01
 """Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
 GATHER_BYTES: Final = 1 << 19
 """Size of messages from which the queue does not wait for more. [B]"""
+BRAKE_S: Final = 0.02
+"""Time for which the queue is full before publishers wait, though Zenoh's channels may not be full. [s]"""
 FULL_LOG_S: Final = 60.0
 """Least time between two warnings of a full queue. [s]"""
 _log = logging.getLogger("socast.zenoh")
@@ -42,7 +44,7 @@ class ZenohSource:
 
     The messages of `{prefix}fleet/**` and those of `{prefix}weather/**` each come in order of arrival. Queued weather
     comes before queued telemetry. A source without a prefix does not receive fleets that have one. While the queue is
-    full, Zenoh's channels fill and publishers are blocked.
+    full, publishers are blocked.
 
     Parameters
     ----------
@@ -146,7 +148,9 @@ class ZenohSource:
             self._enqueue(messages[:half], recovered=recovered)
             self._enqueue(messages[half:], recovered=recovered)
             return
-        self._receiver.predict_block(len(messages), size)
+        if self._queue.put(messages, size, recovered=recovered, patience_s=BRAKE_S):
+            return
+        self._receiver.brake()
         while not self._queue.put(messages, size, recovered=recovered, patience_s=LOOK_UP_S):
             if self._queue.has_ended or time.monotonic() > self._stop_by_s:
                 self._unqueued += len(messages)

@@ -4,12 +4,12 @@ import signal
 from pathlib import Path
 
 import pytest
+from zenoh.handlers import FifoChannel
 
 from socast.core.errors import RecordingError
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
-from socast.stream.zenoh_receiver import _subscribe
 from socast.stream.zenoh_sink import CACHE, ZenohSink
 from tests.support.live_consumers import consumers
 from tests.support.outages import Outcome, compare_outcome, read_kept
@@ -42,7 +42,8 @@ def test_nothing_is_lost_or_counted_twice_over_a_kill_and_an_outage_of_the_route
     newest = {message.key: message.payload for message in Pipeline(EXTENDED_PHYSICAL).push(sent)}
     options = "--record", tmp_path / "kept", "--state", tmp_path / "cars.state", "--flush", 0.2
     with RouterProcess() as router, router.join() as node, consumers(tmp_path) as start:
-        listener, sink = _subscribe(node, "fleet/*/forecast"), ZenohSink(node)
+        sink = ZenohSink(node)
+        listener = node.session.declare_subscriber("fleet/*/forecast", FifoChannel(1 << 12))
         consumer, _ = start("--connect", router.endpoint, *options)
         sink.put(first[: len(first) // 2])
         assert eventually(lambda: read_so_far(tmp_path))
@@ -59,7 +60,7 @@ def test_nothing_is_lost_or_counted_twice_over_a_kill_and_an_outage_of_the_route
         wait_until_recorded(third, tmp_path)
 
         def hears_newest() -> bool:
-            while (sample := listener.try_recv()) is not None:
+            while (sample := listener.handler.try_recv()) is not None:
                 forecasts.add((str(sample.key_expr), sample.payload.to_bytes()))
             return newest.items() <= forecasts
 

@@ -69,7 +69,7 @@ class EndlessReceiver:
         self.given += 5
         return 5
 
-    def predict_block(self, messages: int, size: int) -> None:
+    def brake(self) -> None:
         pass
 
     def end(self) -> None:
@@ -108,6 +108,34 @@ def test_full_queue_is_told_and_nothing_is_lost(caplog):
                 stop.set()
         thread.join()
     assert [message.payload for message in got] == [message.payload for message in sent]
+
+
+def test_channels_hold_few_large_lists_while_the_queue_is_full(caplog):
+    count, stop, sent = 400, Event(), []
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        source = ZenohSource(node, stop, queue_bytes=2e6)
+        sink = ZenohSink(client)
+        assert eventually(sink.has_subscriber)
+
+        def publish() -> None:
+            for number in range(count):
+                sink.put([LISTS[number % 3]._replace(payload=LISTS[0].payload + b" " * number)])
+                sent.append(number)
+
+        thread, got = Thread(target=publish), 0
+        for messages in source:
+            if thread.ident is None and not source.is_catching_up:
+                thread.start()
+            if messages and not got:
+                assert eventually(lambda: "the consumer is behind" in caplog.text)
+                time.sleep(2.0)
+            got += len(messages)
+            assert len(sent) - got < count / 3, "publishers wait"
+            time.sleep(0.03)  # slower than they are
+            if got == count:
+                stop.set()
+        thread.join()
+    assert got == count
 
 
 def test_payload_beyond_the_limit_of_a_session_does_not_arrive():

@@ -2,7 +2,6 @@
 
 import json
 import time
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +17,7 @@ from socast.stream.zenoh_history import (
     HOLD_BYTES_EACH,
     HOLD_S,
     MOST_ASKED,
+    MOST_GAPS,
     RETURN_S,
     RETURNS,
     RETURNS_S,
@@ -28,6 +28,7 @@ from socast.stream.zenoh_history import (
 from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import ZenohSink
 from tests.support.batched_recordings import make_batch
+from tests.support.fake_caches import Channel, FakeNode, sample
 from tests.support.zenoh_sessions import eventually, router
 
 SPACES = ("weather/**", "fleet/**")
@@ -36,27 +37,6 @@ EVERYBODY = ["weather/**/@adv/pub/**", "fleet/**/@adv/pub/**"]
 CAR = "fleet/a/telemetry/@adv/pub/1/0/_"
 OF_CAR = "fleet/**/@adv/pub/1/**"
 KEY = "fleet/a/telemetry"
-
-
-class Payload(bytes):
-    """The payload of a sample."""
-
-    def to_bytes(self) -> bytes:
-        return bytes(self)
-
-
-@dataclass(frozen=True)
-class Source:
-    """The identity of a publisher."""
-
-    zid: str
-
-
-def sample(payload: bytes, *, key="fleet/a/telemetry", session="1", number: int | None = None, ntp: int | None = None):
-    """Return what stands for a Zenoh sample, with a number of its publisher and a time stamp of its session."""
-    source = SimpleNamespace(source_id=Source(session), source_sn=number) if number is not None else None
-    stamp = f"{ntp}/{session}" if ntp is not None else None
-    return SimpleNamespace(key_expr=key, source_info=source, timestamp=stamp, payload=Payload(payload))
 
 
 def texts(samples: list[Any]) -> list[bytes]:
@@ -116,79 +96,36 @@ def test_a_payload_that_tells_no_time_comes_first_and_raises_nothing(payload):
     assert texts(merged) == [payload, b'{"time_s": 1}']
 
 
-class Channel(list):
-    """A channel of a fake session, which a test fills."""
-
-    ended = False
-
-    @property
-    def handler(self) -> "Channel":
-        return self
-
-    def try_recv(self) -> Any:
-        if self:
-            return self.pop(0)
-        if self.ended:
-            raise zenoh.ZError("closed")
-        return None
-
-    def undeclare(self) -> None:
-        self.ended = True
-
-
-class FakeNode:
-    """A node whose router, tokens and caches a test controls; `asked` holds the selectors of its open queries."""
-
-    def __init__(self, *, is_client: bool = True) -> None:
-        self.session = self.info = self
-        self.routers, self.tokens, self.asked = ["router"] if is_client else [], Channel(), dict[str, Channel]()
-
-    def routers_zid(self) -> list[str]:
-        return self.routers
-
-    def liveliness(self) -> "FakeNode":
-        return self
-
-    def declare_subscriber(self, keys: str, _: Any, **__: Any) -> Channel:
-        return self.tokens if keys.startswith("fleet") else Channel()
-
-    def get(self, selector: str, _: Any, **__: Any) -> Channel:
-        return self.asked.setdefault(selector, Channel())
-
-    def tell(self, key: str, kind: zenoh.SampleKind) -> None:
-        """Let the token of a publisher come or go."""
-        self.tokens.append(SimpleNamespace(key_expr=key, kind=kind))
-
-    def answer(self, *samples: Any) -> None:
-        """Answer all open queries with samples."""
-        for query in self.asked.values():
-            query += [SimpleNamespace(ok=each) for each in samples]
-            query.ended = True
-            samples = ()
-        self.asked.clear()
-
-
 def start(node: FakeNode) -> CacheHistory:
     """Return a history whose first queries have been answered, at the time 0."""
     history = CacheHistory(node, SPACES)
     history.collect(0.0)
     node.answer()
     history.collect(0.0)
-    assert not history.is_waiting(AFTER)
+    assert not waits(history, AFTER)
     return history
+
+
+def waits(history: CacheHistory, now: float) -> bool:
+    """Return whether all live samples wait on after a release."""
+    history.release(now)
+    return history.is_waiting
 
 
 def test_all_caches_are_asked_at_the_start_while_live_samples_wait():
     node = FakeNode()
     history = CacheHistory(node, SPACES)
-    assert history.collect(0.0) == []
+    history.collect(0.0)
     assert list(node.asked) == EVERYBODY
-    assert history.is_waiting(0.0)
+    assert waits(history, 0.0)
     cached = sample(b"cached")
     node.answer(cached)
-    assert history.collect(1.0) == [cached]
-    assert history.is_waiting(1.0 + SETTLE_S / 2), "samples in flight may still come"
-    assert not history.is_waiting(1.0 + AFTER)
+    history.collect(1.0)
+    assert history.withhold([live := sample(b"live")], str) == []
+    assert history.release(1.0 + SETTLE_S / 2) == ([], []), "samples in flight may still come"
+    assert history.is_waiting
+    assert history.release(1.0 + AFTER) == ([live], [cached])
+    assert not history.is_waiting
     assert history.asked == 2
 
 
@@ -199,7 +136,7 @@ def test_a_session_that_appears_is_asked_alone_and_only_its_live_samples_wait():
     node.tell(CAR.replace("telemetry", "ride"), zenoh.SampleKind.PUT)
     history.collect(1.0)
     assert list(node.asked) == [OF_CAR]
-    assert not history.is_waiting(1.0)
+    assert not waits(history, 1.0)
     own, of_another, forged = sample(b"own", number=3), sample(b"b", key="fleet/b", number=1), sample(b"c", session="2")
     assert history.withhold([own, of_another, forged], str) == [of_another, forged]
     assert history.release(1.0 + FIRST_S / 2) == ([], [])
@@ -261,9 +198,9 @@ def test_sessions_that_never_answer_under_one_key_take_few_places():
         node.tell(f"fleet/evil/telemetry/@adv/pub/{tick}/0/_", zenoh.SampleKind.PUT)
         history.collect(now)
         history.release(now)
-        assert not history.is_waiting(now)
+        assert not waits(history, now)
         assert history.withhold([sample(b"b", number=1)], str)
-        most = max(most, len(history._asked))
+        most = max(most, len(history._questions))
     assert most <= RETURNS + 1
 
 
@@ -286,7 +223,7 @@ def test_publishers_of_forecasts_are_not_asked():
     node.tell("fleet/a/forecast/@adv/pub/1/0/_", zenoh.SampleKind.PUT)
     history.collect(1.0)
     assert not node.asked
-    assert not history.is_waiting(1.0)
+    assert not waits(history, 1.0)
 
 
 def test_a_publisher_that_appears_while_others_answer_is_asked_afterwards():
@@ -317,7 +254,7 @@ def test_caches_that_do_not_answer_are_not_awaited_forever():
     history.collect(0.0)
     late = ANSWER_S + AFTER
     history.collect(late)
-    assert not history.is_waiting(late)
+    assert not waits(history, late)
 
 
 def test_live_samples_wait_while_the_router_is_away_and_until_its_publishers_are_back():
@@ -326,19 +263,19 @@ def test_live_samples_wait_while_the_router_is_away_and_until_its_publishers_are
     node.tell(CAR, zenoh.SampleKind.DELETE)
     node.routers = []
     history.collect(1.0)
-    assert history.is_waiting(1000.0)
+    assert waits(history, 1000.0)
     node.routers = ["router"]
     history.collect(2.0)
     assert list(node.asked) == EVERYBODY
     node.answer()
     history.collect(2.0)
-    assert history.is_waiting(2.0 + RETURN_S / 2), "the publisher is not back"
+    assert waits(history, 2.0 + RETURN_S / 2), "the publisher is not back"
     node.tell(CAR, zenoh.SampleKind.PUT)
     history.collect(3.0)
     node.answer()
     history.collect(3.0)
     history.release(3.0 + AFTER)
-    assert not history.is_waiting(3.0 + AFTER)
+    assert not waits(history, 3.0 + AFTER)
 
 
 def test_a_publisher_that_does_not_come_back_with_the_router_is_not_awaited_forever():
@@ -352,7 +289,7 @@ def test_a_publisher_that_does_not_come_back_with_the_router_is_not_awaited_fore
     node.answer()
     late = 2.0 + RETURN_S + 0.1
     history.collect(late)
-    assert not history.is_waiting(late + AFTER)
+    assert not waits(history, late + AFTER)
 
 
 def test_a_publisher_that_goes_alone_is_not_awaited():
@@ -360,10 +297,10 @@ def test_a_publisher_that_goes_alone_is_not_awaited():
     history = start(node)
     node.tell(CAR, zenoh.SampleKind.DELETE)
     history.collect(1.0)
-    assert not history.is_waiting(1.0)
+    assert not waits(history, 1.0)
     node.routers = []
     history.collect(1.0 + DOUBT_S / 2)
-    assert history.is_waiting(1.0 + DOUBT_S / 2), "the router was lost with it"
+    assert waits(history, 1.0 + DOUBT_S / 2), "the router was lost with it"
 
 
 def test_a_router_does_not_wait_for_a_publisher_that_goes():
@@ -371,23 +308,23 @@ def test_a_router_does_not_wait_for_a_publisher_that_goes():
     history = start(node)
     node.tell(CAR, zenoh.SampleKind.DELETE)
     history.collect(1.0)
-    assert not history.is_waiting(1.0)
+    assert not waits(history, 1.0)
 
 
 def test_a_token_that_comes_and_goes_does_not_hold_live_samples_forever():
     node = FakeNode()
     history = start(node)
-    waits: list[bool] = []
+    were_held: list[bool] = []
     for tick in range(2000):
         now = 1.0 + 0.05 * tick
         node.tell(CAR, zenoh.SampleKind.DELETE if tick % 2 else zenoh.SampleKind.PUT)
         history.collect(now)
         node.answer()
         history.release(now)
-        waits.append(not history.withhold([sample(b"", number=tick)], str))
-        assert not history.is_waiting(now)
-    assert waits[0]
-    assert sum(waits) * 0.05 < 4.0
+        were_held.append(not history.withhold([sample(b"", number=tick)], str))
+        assert not waits(history, now)
+    assert were_held[0]
+    assert sum(were_held) * 0.05 < 4.0
     assert history.asked <= 2 + 2 * (RETURNS + 1)
 
 
@@ -434,7 +371,72 @@ def test_answers_end_the_wait_though_somebody_leaves_the_question_open():
     assert history.release(1.1 + SETTLE_S / 2) == ([], [])
     assert history.release(1.1 + AFTER) == ([live], [cached])
     history.release(1.0 + HOLD_S)
-    assert not history._asked
+    assert not history._questions
+
+
+def test_only_a_publisher_with_a_gap_is_asked_and_waits():
+    node = FakeNode()
+    history = start(node)
+    revealing = sample(b"5", number=5)
+    assert history.ask_again(revealing, KEY, 3, 1.0)
+    assert list(node.asked) == ["fleet/a/telemetry/@adv/pub/1/0/**?_sn=3.."]
+    others = [sample(b"b", key="fleet/b", number=1), sample(b"c", session="2", number=1)]
+    assert history.withhold([revealing, *others], str) == others
+    missing = [sample(b"3", number=3), sample(b"4", number=4)]
+    assert history.release(1.0 + FIRST_S) == ([], [])
+    node.answer(*missing)
+    history.collect(2.0)
+    assert history.release(2.0) == ([revealing], missing)
+    assert history.withhold([revealing], str) == [revealing]
+
+
+def test_the_gap_of_a_stranger_whose_cache_never_answers_holds_up_nobody_after_the_return_of_the_router():
+    node = FakeNode()
+    history = start(node)
+    assert history.ask_again(sample(b"", number=5), KEY, 3, 1.0)
+    node.asked.clear()
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    node.routers = []
+    history.collect(1.0)
+    node.routers = ["router"]
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(2.0)
+    node.answer()
+    history.collect(2.0)
+    node.answer()
+    history.collect(2.0)
+    assert not waits(history, 2.0 + AFTER)
+
+
+def test_gaps_of_strangers_take_few_places():
+    node = FakeNode()
+    history = start(node)
+    of_one_key = [history.ask_again(sample(b"", session=str(n), number=9), KEY, 1, 1.0) for n in range(20)]
+    assert of_one_key == [True] * RETURNS + [False] * (20 - RETURNS)
+    assert not history.ask_again(sample(b"", session="0", number=12), KEY, 11, 1.0), "one question at a time"
+    many = [history.ask_again(sample(b"", number=9), f"fleet/{n}/ride", 1, 1.0) for n in range(2 * MOST_GAPS)]
+    assert sum(many) == MOST_GAPS - RETURNS
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert OF_CAR in node.asked, "sessions are asked nevertheless"
+    assert history.release(1.0 + ANSWER_S) == ([], [])
+    assert not history._holding
+    history.release(1.0 + HOLD_S)
+    assert not history._questions
+
+
+def test_a_session_that_appears_while_its_publisher_is_asked_for_a_gap_ends_both_waits():
+    node = FakeNode()
+    history = start(node)
+    assert history.ask_again(sample(b"", number=5), KEY, 3, 1.0)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    live = sample(b"live", number=6)
+    assert history.withhold([live], str) == []
+    node.answer()
+    history.collect(1.1)
+    assert history.release(1.1 + AFTER) == ([live], [])
+    assert not history._holding
 
 
 def test_queries_that_fail_are_logged_and_end_the_wait(monkeypatch, caplog):
@@ -447,7 +449,7 @@ def test_queries_that_fail_are_logged_and_end_the_wait(monkeypatch, caplog):
     monkeypatch.setattr(node, "get", fail)
     node.tell(CAR, zenoh.SampleKind.PUT)
     history.collect(1.0)
-    assert not history.is_waiting(1.0 + AFTER)
+    assert not waits(history, 1.0 + AFTER)
     assert "caches of publishers not asked: session closed" in caplog.text
 
 
@@ -457,8 +459,9 @@ def test_nothing_is_asked_after_the_close():
     history.close()
     history.close()
     assert node.tokens.ended
-    assert history.collect(1.0) == []
-    assert not history.is_waiting(1.0)
+    history.collect(1.0)
+    assert not node.asked
+    assert not waits(history, 1.0)
 
 
 def test_caches_of_real_publishers_answer_in_full_and_a_newcomer_is_asked():
@@ -471,7 +474,7 @@ def test_caches_of_real_publishers_answer_in_full_and_a_newcomer_is_asked():
 
         def has_all(car: str) -> bool:
             now = time.monotonic()
-            got.extend(history.collect(now))
+            history.collect(now)
             got.extend(history.release(now)[1])
             payloads = [each.payload.to_bytes() for each in merge_samples(got) if f"/{car}/" in str(each.key_expr)]
             return payloads == sent[car]

@@ -5,6 +5,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import contextmanager
+from random import Random
 from threading import Event, Thread
 
 from socast.core.wire.messages import Message
@@ -74,6 +75,36 @@ def test_tokens_of_a_stranger_whose_caches_never_answer_delay_nobody_else():
         sink.close()
     assert held, "the caches of the stranger were asked"
     assert max(late[20:]) < LATEST_S  # the first wait for the answers of their own session
+
+
+def test_samples_lost_on_the_way_are_asked_for_and_come_in_their_order():
+    got: dict[str, list[int]] = {}
+    random, lost = Random(1), list[str]()
+
+    def take(messages):
+        for each in messages:
+            got.setdefault(each.key, []).append(int(each.payload))
+
+    with RouterProcess() as router, router.join() as node, router.join() as taxi:
+        sink = ZenohSink(taxi)
+        with consuming(node, take) as source:
+            receive = source._receiver._receive
+
+            def lose(most):
+                arrived = receive(most)
+                kept = [each for each in arrived if each.payload.to_bytes() == b"49" or random.random() < 0.7]
+                lost.extend(str(each.key_expr) for each in arrived if each not in kept)
+                return kept
+
+            source._receiver._receive = lose
+            for number in range(50):
+                sink.put([Message(f"fleet/{car}/telemetry", b"%d" % number, 0) for car in range(20)])
+                time.sleep(0.01)
+            assert eventually(lambda: sum(len(set(numbers)) for numbers in got.values()) == 20 * 50)
+            assert source.missed == 0
+        sink.close()
+    assert len(lost) > 100
+    assert all(list(dict.fromkeys(numbers)) == list(range(50)) for numbers in got.values())
 
 
 def test_publisher_of_many_new_keys_at_full_speed_loses_nothing_to_a_slow_consumer():

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Iterable
 from itertools import pairwise
-from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -175,21 +174,6 @@ def test_burst_of_plain_publishers_passes_embedded_router_without_loss():
         got = receive(source, stop, count * len(KEYS), 60.0)
         assert [child.wait(30) for child in children] == [0, 0, 0]
     assert len(got) == count * len(KEYS)
-
-
-def test_source_warns_once_of_router_that_stamps_for_plain_publishers(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    (tmp_path / "stamping.json5").write_text("{timestamping: {enabled: {router: true, peer: false, client: false}}}")
-    (tmp_path / "plain.json5").write_text("{timestamping: {enabled: {router: true, peer: true, client: false}}}")
-    stop = Event()
-    with router(config=tmp_path / "stamping.json5") as (node, endpoint), caplog.at_level(logging.WARNING):
-        source = ZenohSource(node, stop)
-        with Node(Connection(connect=(endpoint,), config=tmp_path / "plain.json5")) as client:
-            publisher = client.session.declare_publisher(KEYS[0])
-            assert eventually(lambda: publisher.matching_status.matching)
-            publisher.put(b"{}")
-            assert len(receive(source, stop, 1)) == 1
-    assert [record.levelname for record in caplog.records] == ["WARNING"]
-    assert "timestamping" in caplog.text
 
 
 def test_all_messages_arrive_without_recovery():

@@ -36,7 +36,7 @@ from socast.tools.testing.replayed import Replayed, sort_rides, take_tables
 LOOPBACK: Final = "tcp/127.0.0.1:0"
 """Where the consumer listens: a free port of loopback, and nowhere else."""
 BURST: Final = 128
-"""Number of messages that are published at once; Zenoh's channels hold twice as many."""
+"""Number of messages that are published at once; Zenoh's channels hold more."""
 PATIENCE_S: Final = 120.0
 """Longest wait for the consumer. [s]"""
 _POLL_S: Final = 0.01
