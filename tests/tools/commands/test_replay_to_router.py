@@ -19,12 +19,12 @@ START_NS = 1_700_000_000_000_000_000
 READER = """
 import sys
 from socast.stream.zenoh_session import Connection, Node
-with Node(Connection(connect=(sys.argv[1],))) as node:
+with Node(Connection(connect=(sys.argv[1],), lease_s=120.0)) as node:
     subscriber = node.session.declare_subscriber("fleet/**", lambda _: None)
     print("ready", flush=True)
     sys.stdin.readline()
 """
-"""Subscribe until standard input ends."""
+"""Subscribe until standard input ends; the router waits for 120 s where the process is stopped."""
 
 
 @contextmanager
