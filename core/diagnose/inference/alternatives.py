@@ -207,8 +207,9 @@ class _Products:
                 if other < one:
                     continue
                 of_day = self.sums[:, self.first + one, self.first + other]
-                own[np.ix_(at, to)] = (weight[at] * of_day) @ weight[to].T
-                own[np.ix_(to, at)] = own[np.ix_(at, to)].T
+                part = (weight[at] * of_day) @ weight[to].T
+                own[at[:, np.newaxis], to] = part
+                own[to[:, np.newaxis], at] = part.T
         beside *= size[:, np.newaxis]
         along = solve_triangular(self.lower, beside[:, :-1].T, lower=True)
         return own * np.outer(size, size) - along.T @ along, beside[:, -1] - along.T @ self.along

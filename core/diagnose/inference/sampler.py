@@ -25,6 +25,8 @@ SWEEPS: Final = 120
 """Number of sweeps over all families."""
 BURNT: Final = 20
 """Number of sweeps at the beginning that do not count."""
+MOST_KEPT: Final = 1024
+"""Largest number of sets whose odds are kept, as most sets come again."""
 
 
 def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floats:
@@ -74,12 +76,20 @@ def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
     total = np.zeros(len(given.family))
     sets: Counter[tuple[int, ...]] = Counter()
 
-    def list_others(but: int) -> list[int]:
-        return [at for family, at in state.items() if at is not None and family != but]
+    every, kept = np.arange(len(given.family)), dict[tuple[int, ...], Floats]()
+
+    def weigh(without: int) -> Floats:
+        """Return the odds of each alternative beside what is true in other families than one."""
+        others = tuple(at for family, at in state.items() if at is not None and family != without)
+        if others not in kept:
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept[others] = weigh_further(given, list(others), every) + given.log_odds
+        return kept[others]
 
     for sweep in range(SWEEPS):
         for family in rng.permutation(list(rows)).tolist():
-            odds = weigh_further(given, list_others(family), rows[family]) + given.log_odds[rows[family]]
+            odds = weigh(family)[rows[family]]
             chances = normalise(np.append(odds, 0.0))
             drawn = int(rng.choice(len(chances), p=chances))
             state[family] = None if drawn == len(odds) else int(rows[family][drawn])
@@ -87,7 +97,7 @@ def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
                 total[rows[family]] += chances[:-1]
         for family in [family for family, at in state.items() if at is not None]:  # one moves to any free family
             open_rows = np.concatenate([rows[each] for each in rows if each == family or state[each] is None])
-            odds = weigh_further(given, list_others(family), open_rows) + given.log_odds[open_rows]
+            odds = weigh(family)[open_rows]
             drawn = int(rng.choice(open_rows, p=normalise(odds)))
             state[family] = None
             state[int(given.family[drawn])] = drawn
