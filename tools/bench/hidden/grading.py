@@ -20,18 +20,17 @@ def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
     -------
     Record
         `outcome` of the first name: `right`, `wrong`, or `none` without a name. `names`: every name in the order of the
-        diagnosis, its probability that it is missing, whatever else is, and whether it is right; last, the effects that
-        causes outside the library resemble. `cause`: the most
+        diagnosis, its probability that it is missing, whatever else is, and whether it is right. What a cause outside
+        the library resembles is no name, as the diagnosis says that it is another cause. `cause`: the most
         probable cause of the first name. `set_size` and `set_holds`: size of the credible set of the first name, and
         whether a hidden effect is in it; None without a name. `found`: number of hidden effects among the names with a
         probability of `LIKELY` or more. `deviations`: single cars, groups and dates that the diagnosis blames.
     """
     wanted = list_truths(case)
     hidden = {name for names in wanted for name in names} - {NONE}
-    like = [{"effect": one["resembles"], "probability": one["probability"]} for one in result["unknown"]]
     names = [
         {"effect": name["effect"], "probability": name["probability"], "right": name["effect"] in hidden}
-        for name in [*result["missing"], *(one for one in like if one["effect"])]
+        for name in result["missing"]
     ]
     outcome = "none" if not names else "right" if names[0]["right"] else "wrong"
     likely = {name["effect"] for name in names if name["probability"] >= LIKELY}
