@@ -21,6 +21,7 @@ import sys
 from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],), lease_s=120.0)) as node:
     subscriber = node.session.declare_subscriber("fleet/**", lambda _: None)
+    node.flush()  # the router knows the subscriber before the process is stopped
     print("ready", flush=True)
     sys.stdin.readline()
 """
