@@ -32,6 +32,7 @@ from socast.core.diagnose.deviations import describe_deviations, list_credible, 
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
+from socast.core.diagnose.inference.alternatives import count_dates
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
@@ -271,7 +272,7 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
-        effective_dates=_count_dates(energy, seen),
+        effective_dates=float(count_dates(np.abs(energy)[np.newaxis], seen.date)[0]),
         z=size.value / size.error,
         coefficient=coefficient,
         words=effect.in_words(size.value, size.ci95),
@@ -282,12 +283,6 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         ],
         partial_residual=compute_partial_residual(selection, finding),
     )
-
-
-def _count_dates(energy: Floats, seen: Windows) -> float | None:
-    """Return the number of dates that would hold an energy in equal parts. [1]"""
-    parts = np.bincount(seen.date, np.abs(energy))
-    return float(parts.sum()) ** 2 / float(parts @ parts) if parts.any() else None
 
 
 def _list_causes(finding: MissingEffect) -> list[CauseProbability]:

@@ -177,14 +177,9 @@ def _is_large(effect: str, size: Estimate) -> bool:
 
 def _find_least(effect: str) -> float:
     """Return the smallest plausible coefficient of an effect, by absolute value; 0 where either sign is plausible."""
-    low, high = _range(effect)
-    return 0.0 if low < 0.0 < high else min(abs(low), abs(high))
-
-
-def _range(effect: str) -> tuple[float, float]:
-    """Return the plausible range of an effect."""
     declared = effects.get(effect)
-    return declared.low, declared.high
+    low, high = declared.low, declared.high
+    return 0.0 if low < 0.0 < high else min(abs(low), abs(high))
 
 
 def select_missing(
@@ -224,8 +219,6 @@ def select_missing(
 
 def _order(each: MissingEffect) -> tuple[bool, bool, bool, float]:
     """Return a key that sorts effects into the order of `select_missing`."""
-    low, high = _range(each.variant)
-    least, most = each.size.interval
-    is_plausible = least <= high and most >= low
+    is_plausible = effects.get(each.variant).is_plausible(*each.size.interval)
     is_certain = is_plausible and each.gain.interval[0] > 0.0
     return not is_certain, not is_plausible, each.expected, -each.gain.value

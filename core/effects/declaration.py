@@ -249,6 +249,10 @@ class Effect:
         changes = [(n, v) for n, p in self.parameters.items() for v in p.grid if v != p.value]
         return tuple(self.variant({name: value}) for name, value in changes)
 
+    def is_plausible(self, begin: float, end: float) -> bool:
+        """Return whether an interval of the coefficient reaches the plausible range. [unit]"""
+        return begin <= self.high and end >= self.low
+
     def in_words(self, value: float, half: float | None = None) -> str:
         """Return the meaning of a coefficient in plain words.
 

@@ -301,7 +301,7 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
         "the simulator. Visible: the likelihood ratio of the true energies exceeds 20; by a formula of the library: "
         "that of the formula that resembles the effect most, which is not the one put in. Other methods receive "
         f"the same windows, without the terms of the model, and name at most {LONGEST} effects. "
-        f"{'; '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
+        f"{'. '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
     values = {
         "named": f"{_count(every, _is_named)}, as the first new name {_count(every, _is_first)}",

@@ -126,7 +126,7 @@ def describe_coefficient(declared: Effect, estimate: Estimate) -> EstimatedCoeff
         unit=declared.unit,
         low=declared.low,
         high=declared.high,
-        plausible=begin <= declared.high and end >= declared.low,
+        plausible=declared.is_plausible(begin, end),
     )
 
 
@@ -140,8 +140,7 @@ def warn_if_implausible(declared: Effect, estimate: Estimate) -> str:
         problem = f"it would {'save' if declared.sign > 0 else 'cost'} energy, which physics forbids"
     else:
         problem = f"it is too {'small' if abs(value) < min(abs(low), abs(high)) else 'large'}"
-    begin, end = estimate.interval
-    if begin <= high and end >= low:
+    if declared.is_plausible(*estimate.interval):
         cause = "its interval overlaps the range, so there may be too few data"
     else:
         others = ", ".join(declared.confused_with[:4])
