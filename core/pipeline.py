@@ -93,7 +93,7 @@ class Pipeline:
         names = self.decoder.rides
         self.totals = SampleTotals(context, powers, names, limits, elevation_map, two_sided=two_sided, keep=keep_tables)
         none = self.totals.accumulator.none()
-        self.engine = ForecastEngine(context, self.totals.accumulator.width)
+        self.engine = ForecastEngine(context)
         self.due = DueForecasts(self.engine, none, names, prefix, keep=keep_forecasts, keep_outlooks=keep_outlooks)
         self._intake = EventIntake(context, self.decoder, self.silent_cars, self.plans, self.totals, self.due)
 

@@ -24,10 +24,9 @@ from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST
 from socast.core.forecast.learning.daily_cycle import HOURS
-from socast.core.forecast.learning.energy_correction import COEFFICIENTS
+from socast.core.forecast.learning.consumption_terms import TERMS
 from socast.core.forecast.learning.fleet import SHIFT_PATTERN
 from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
-from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
@@ -48,7 +47,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 28
+SNAPSHOT: Final = 29
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
@@ -127,10 +126,7 @@ FACTOR: Final = Row(REAL, REAL)
 """Mean and variance of the logarithm of a consumption factor."""
 PATTERN: Final = Row(REAL, REAL)
 """Duration and intensity of a shift."""
-_EDGE: Final = Packed(
-    np.dtype([(name, "f8") for name in EDGES]), count=1, limits={"kind": Number(0.0, "kinds", unknown=False)}
-)
-_SHIFT: Final = Row(LANE, Maybe(COUNT), *4 * (REAL,), Text(), REAL, REAL, Number(0, 1))
+_SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), REAL)
 _ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
@@ -148,16 +144,7 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
     return Packed("f8", count=count, limits={"": Number(low, unknown=False)})
 
 
-_BY_PACE = _grid(len(PACES))
-_BY_TEMPERATURE: Final = Many(Number(-1e12, 1e12, unknown=False), count=len(TEMPERATURES))
-_TABLES: Final = Named(
-    leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
-    **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
-    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause", "ride_pace"), REAL),
-    **dict.fromkeys(("driven_energy_per_km", "level_sd"), REAL),
-    **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
-    **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
-)
+_REGRESSION: Final = Row(SUMS, SUMS, Many(Row(LANE, _pack(len(TERMS) + 2))), _pack(len(TERMS)), Number(-100.0, 100.0))
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
 _CONFORMAL: Final = Row(
     SUMS,
@@ -168,17 +155,15 @@ _CONFORMAL: Final = Row(
         _pack(_CLASSES * len(LEVELS)),
     ),
 )
-_CORRECTION: Final = Row(SUMS, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
 _STATISTICS: Final = Row(
     Row(
-        Row(ByName(Row(SUMS, _EDGE, _EDGE)), ByName(_TABLES)),
+        ByName(_REGRESSION),
         Row(
             Many(Row(LANE, FACTOR)),
             Many(Row(COUNT, FACTOR)),
             Many(Row(LANE, Many(Row(REAL, REAL)))),
         ),
         _CONFORMAL,
-        _CORRECTION,
         Row(SUMS, _grid(2, HOURS)),
         Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), SUMS),
     ),
@@ -301,7 +286,6 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any],
             if "deferred" in state:
                 raise Fault(f"it holds sums of {', '.join(before)}, which tables need")
             state["accumulator"] = carry_totals(state["accumulator"], before, effects)
-            state["engine"][0][0][0][0] = {}  # sums of rides by effect begin anew; tables made of them still hold
         for name in filter(state.__contains__, components):
             components[name].load(state[name])
     except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:

@@ -92,11 +92,6 @@ class _Evaluation(NamedTuple):
 class ForecastEngine:
     """Run the filters, plans and shifts of every lane, with the statistics of the fleet.
 
-    Parameters
-    ----------
-    width : int
-        Number of amounts that are summed of a ride.
-
     Attributes
     ----------
     state : (lanes,) FILTER_STATE
@@ -104,9 +99,9 @@ class ForecastEngine:
         Newest forecast of each lane, NaN before the first one.
     """
 
-    def __init__(self, context: RunContext, width: int) -> None:
-        self.context, self._cars, self.width = context, context.cars, width
-        self.statistics = FleetStatistics(context, width)
+    def __init__(self, context: RunContext) -> None:
+        self.context, self._cars = context, context.cars
+        self.statistics = FleetStatistics(context)
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
         self.newest = np.zeros(0, NEWEST_FORECAST)
@@ -119,12 +114,10 @@ class ForecastEngine:
         self._grow(lanes)
         parts = sums.rides, sums.idle_periods, sums.running
         whole = join_totals(parts, sums.running)
-        ends = np.cumsum([len(part.lane) for part in parts])
-        predicted = self._predict(whole)
-        of_rides, of_idle, of_running = np.split(predicted, ends[:-1])
-        self.statistics.add_rides(sums.rides, of_rides)
-        self.statistics.add_idle_periods(sums.idle_periods, of_idle)
-        events, at = self._build_events(whole, predicted, int(ends[1]), due.drivers)
+        closed = len(sums.rides.lane) + len(sums.idle_periods.lane)
+        self.statistics.add_rides(sums.rides)
+        self.statistics.add_idle_periods(sums.idle_periods)
+        events, at = self._build_events(whole, closed, due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
         estimates = estimates.compress(events["kind"] == RUNNING)
@@ -139,7 +132,7 @@ class ForecastEngine:
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
         ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)
         rows = compute_forecast_rows(
-            sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
+            sums.running, self._predict(sums.running), estimates, progress, ambient, self.statistics, self._cars
         )
         self.newest.put(sums.running.lane, rows.get_newest())
         self._evaluate(sums.running, rows, shifts, at, kinds)
@@ -169,12 +162,12 @@ class ForecastEngine:
         return model.predict_energy(model_columns(totals, self.context, model.needs))
 
     def _build_events(
-        self, totals: Totals, predicted: Floats, closed: int, drivers: Sequence[DriverNamed]
+        self, totals: Totals, closed: int, drivers: Sequence[DriverNamed]
     ) -> tuple[NDArray[np.void], Ints]:
         """Return the events of the filters in order, and the place of each; the first totals are closed ones."""
         n = len(totals.lane)
         events = np.empty(n + len(drivers), FILTER_EVENT)
-        self._fill_totals(totals, predicted, events[:n])
+        self._fill_totals(totals, events[:n])
         events["kind"][:closed], events["kind"][closed:n] = CLOSED, RUNNING
         self._fill_drivers(drivers, events[n:])
         if n == len(events) and not closed:
@@ -184,7 +177,7 @@ class ForecastEngine:
         order = np.lexsort((rank, at))
         return events.take(order), at[order]
 
-    def _fill_totals(self, totals: Totals, predicted: Floats, out: NDArray[np.void]) -> None:
+    def _fill_totals(self, totals: Totals, out: NDArray[np.void]) -> None:
         """Write totals as events."""
         duration, riding = totals.amount("duration"), totals.ride >= 0
         ambient = totals.amount("ambient")
@@ -192,9 +185,7 @@ class ForecastEngine:
         mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
         weights = compute_temperature_weights(mean_ambient)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
-        out["predicted"] = predicted
-        learned = self.statistics.compute_corrections(kind, riding, weights)
-        out["factor"], out["power"], out["per_km"], out["level_sd"] = learned
+        out["predicted"], out["level"], out["level_sd"] = self.statistics.predict_energies(totals, weights)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
@@ -270,13 +261,10 @@ class ForecastEngine:
                 lane=lane,
                 driver=driver,
                 predicted_kwh=predicted,
-                model_kwh=float(shift["model_predicted"]),
                 used_kwh=used,
                 capacity_kwh=capacity,
                 model=self._cars.name(kind) or "",
-                hours=float(shift["hours"]),
-                ambient=float(ambient[0]),
-                is_corrected=bool(shift["uncorrected"] == 0.0),
+                level=float(shift["level"]),
             )
             self.statistics.add_shift(energy, pattern)
 
@@ -347,7 +335,6 @@ class ForecastEngine:
 
 def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
     """Return the record of the forecast for the end of the shift at a row."""
-    over_charge = rows.basis[i] == OVER_CHARGE
     return ForecastRecord(
         time=time,
         end=float(rows.shift_end_s[i]),
@@ -357,9 +344,6 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         ahead_c=float(rows.ahead_c[i]),
         mean=float(rows.raw_end_soc[i]),
         sd=float(rows.raw_end_soc_sd[i]),
-        soc=float(rows.soc[i]),
-        driving=nan if over_charge else float(rows.driving_fall[i]),
-        waiting=nan if over_charge else float(rows.waiting_fall[i]),
         lower=float(rows.soc_end_of_shift_p05[i]),
         upper=float(rows.soc_end_of_shift_p95[i]),
     )
@@ -373,8 +357,6 @@ def _create_charge_record(time: float, rows: ForecastRows, i: int) -> ForecastRe
         ahead_km=float(rows.charge_energy_km[i]),
         mean=float(rows.raw_charge_soc[i]),
         sd=float(rows.raw_charge_soc_sd[i]),
-        driving=float(rows.driving_fall[i]),
-        waiting=float(rows.waiting_fall[i]),
         lower=float(rows.charge_soc_p05[i]),
         upper=float(rows.charge_soc_p95[i]),
     )

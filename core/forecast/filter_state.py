@@ -61,8 +61,7 @@ FILTER_STATE: Final = np.dtype(
         ("hours", "f8"),  # awake in the shift [h]
         ("predicted", "f8"),  # energy predicted of the shift [kWh]
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
-        ("model_predicted", "f8"),  # energy predicted by the model alone [kWh]
-        ("uncorrected", "f8"),  # 1 where learned tables did not correct part of the predicted energy
+        ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
         ("connected", "f8"),  # when the present or last charging began, or the silence in which it did [s]
@@ -92,10 +91,8 @@ FILTER_EVENT: Final = np.dtype(
         ("lane", "i8"),
         ("time", "f8"),  # [s]
         ("predicted", "f8"),  # energy predicted of the ride or idle period so far [kWh]
-        ("factor", "f8"),  # learned correction factor of the predicted energy [1]
-        ("power", "f8"),  # learned correction that is added to the predicted power [kW]
-        ("per_km", "f8"),  # correction that is added for each kilometre driven [kWh/km]
-        ("level_sd", "f8"),  # standard deviation of the level of the tables, 0 for learned ones [1]
+        ("level", "f8"),  # of the tables that predict it, as a logarithm
+        ("level_sd", "f8"),  # relative standard deviation of the energy of the usual mix [1]
         ("metered", "f8"),  # energy so far by voltage and current [kWh]
         ("meter_time", "f8"),  # time for which that is known [s]
         ("duration", "f8"),  # so far [s]
@@ -153,10 +150,9 @@ CLOSED_SHIFT: Final = np.dtype(
         ("distance", "f8"),  # [m]
         ("ride_distance", "f8"),  # [m]
         ("hours", "f8"),  # awake [h]
-        ("predicted", "f8"),  # as corrected [kWh]
+        ("predicted", "f8"),  # [kWh]
         ("warmth", "f8"),  # [K h]
-        ("model_predicted", "f8"),  # energy predicted by the model alone [kWh]
-        ("uncorrected", "f8"),  # 1 where learned tables did not correct part of the predicted energy
+        ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one

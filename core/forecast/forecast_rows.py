@@ -54,8 +54,6 @@ class ForecastRows(NamedTuple):
     reported_soc : Charge as reported last. [1]
     charged : When the car charged last within the shift. [s]
     faulty : When the reported charge was faulty last within the shift. [s]
-    driving_fall, waiting_fall : Fall of the charge by driving and by waiting until the next planned charge, or else the
-        end of the shift, before their correction. [1]
     charge_time : When the next planned charge begins. [s]
     charge_km : Distance of rides until then. [km]
     charge_to : Planned charge after the last planned charge. [1]
@@ -93,8 +91,6 @@ class ForecastRows(NamedTuple):
     reported_soc: Floats
     charged: Floats
     faulty: Floats
-    driving_fall: Floats
-    waiting_fall: Floats
     charge_time: Floats
     charge_km: Floats
     charge_to: Floats
@@ -202,7 +198,6 @@ def compute_forecast_rows(
     ahead = fill_from_history(ahead, usual, time - estimates["begin"], time, patterns)
     errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
     soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, errors)
-    falls = ahead.parts * (np.exp(estimate.compute_mean_log_factor(ahead.hours)) / estimate.capacity)[:, np.newaxis]
     reach = compute_range(estimate, ahead.reserve, usual)
     by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / usual.energy_per_km
     bounds = statistics.conformal.get_quantiles(by_plan, of_reach, ahead_c)[1]
@@ -234,8 +229,6 @@ def compute_forecast_rows(
         reported_soc=estimates["reported"],
         charged=estimates["charged"],
         faulty=estimates["faulty"],
-        driving_fall=falls[:, 0],
-        waiting_fall=falls[:, 1],
         charge_time=soc.charge_time,
         charge_km=np.where(np.isfinite(soc.charge_time), ahead.km, np.nan),
         charge_to=np.where(soc.basis == OVER_CHARGE, progress["charge_to"], np.nan),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
-from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.consumption_terms import TEMPERATURES, compute_knot_weights
 from socast.core.forecast.planned_legs import compute_share_left
 from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 
@@ -42,11 +42,11 @@ class EnergyAhead(NamedTuple):
     Parameters
     ----------
     energy : (n,) float
-        As predicted and corrected by earlier errors. [kWh]
+        [kWh]
     sd : (n,) float
-        Standard deviation of the energy at the temperature. [kWh]
-    parts : (n, 2) float
-        Energy of driving and of waiting before that correction. [kWh]
+        Standard deviation of the energy beside that of the level of the shift. [kWh]
+    waiting : (n,) float
+        Part of the energy that waiting takes, NaN without a plan. [kWh]
     km : (n,) float
         Distance of rides. [km]
     hours : (n,) float
@@ -61,7 +61,7 @@ class EnergyAhead(NamedTuple):
 
     energy: Floats
     sd: Floats
-    parts: Floats
+    waiting: Floats
     km: Floats
     hours: Floats
     end: Floats
@@ -131,12 +131,8 @@ class UsualConsumption(NamedTuple):
         Energy of a kilometre on a long way at the usual pace. [kWh/km]
     ride_pace : (n,) float
         Time per kilometre of rides. [min/km]
-    relative_sd : (n,) float
-        Standard deviation of these energies at the temperature, over the energy. [1]
-    factor : (n, bases, 2) float
-        Correction of the energy of driving and of waiting from earlier errors. [1]
-    covariance : (n, bases, 2, 2) float
-        Covariance of both.
+    covariance : (n, 2, 2) float
+        Covariance of the relative energies of driving and of waiting beside that of the usual mix. [1]
     """
 
     weights: Floats
@@ -146,25 +142,12 @@ class UsualConsumption(NamedTuple):
     mean_power: Floats
     driving_energy_per_km: Floats
     ride_pace: Floats
-    relative_sd: Floats
-    factor: Floats
     covariance: Floats
 
-    def correct(self, parts: Floats, basis: int | Ints) -> MeanAndSd:
-        """Return the energy of driving and waiting as corrected by earlier errors. [kWh]
-
-        Units: parts [kWh].
-        """
-        driving, waiting = parts.T
-        rows = np.arange(len(self.factor)) if np.ndim(basis) else slice(None)
-        factor, covariance = self.factor[rows, basis], self.covariance[rows, basis]
-        energy = factor[:, 0] * driving + factor[:, 1] * waiting
-        variance = (
-            covariance[:, 0, 0] * driving**2
-            + 2.0 * covariance[:, 0, 1] * driving * waiting
-            + covariance[:, 1, 1] * waiting**2
-        )
-        return MeanAndSd(energy, np.sqrt((self.relative_sd * energy) ** 2 + np.maximum(variance, 0.0)))
+    def add_parts(self, parts: Floats) -> MeanAndSd:
+        """Return the energy of driving and waiting together, where `parts` are both, (n, 2). [kWh]"""
+        variance = np.einsum("np,npq,nq->n", parts, np.broadcast_to(self.covariance, (len(parts), 2, 2)), parts)
+        return MeanAndSd(parts.sum(axis=1), np.sqrt(np.maximum(variance, 0.0)))
 
 
 class PlanTimes(NamedTuple):
@@ -242,13 +225,13 @@ def compute_planned_energy(
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
-    energy = usual.correct(parts, basis if has_charge.any() else BY_PLAN)
+    energy = usual.add_parts(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(
         np.where(known, energy.mean, np.nan),
         np.where(has_charge, np.hypot(energy.sd, timing_sd), energy.sd),
-        parts,
+        np.where(known, idling, np.nan),
         np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
         np.where(known, times.until, np.nan),
         np.where(known, times.end, np.nan),
@@ -280,13 +263,11 @@ def fill_from_history(
     """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan."""
     left = patterns["hours"] - elapsed / 3600.0
     whole = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
-    parts = np.column_stack([whole, np.zeros(len(whole))])
-    energy = usual.correct(parts, BY_HISTORY)
     filled = np.isnan(ahead.energy) & np.isfinite(whole)
     return EnergyAhead(
-        np.where(filled, energy.mean, ahead.energy),
-        np.where(filled, energy.sd, ahead.sd),
-        np.where(filled[:, np.newaxis], parts, ahead.parts),
+        np.where(filled, whole, ahead.energy),
+        np.where(filled, 0.0, ahead.sd),
+        np.where(filled, np.nan, ahead.waiting),
         np.where(filled, whole / usual.energy_per_km, ahead.km),
         np.where(filled, left, ahead.hours),
         np.where(filled, now + 3600.0 * left, ahead.end),
@@ -318,7 +299,7 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
     consumption factor returns to the usual within hours, so its mean over the way is found by iteration.
     """
     left = np.maximum(estimate.soc - reserve, 0.0)
-    per_km = usual.correct(np.column_stack([usual.driving_energy_per_km, np.zeros(len(left))]), BY_PLAN).mean
+    per_km = usual.driving_energy_per_km
     energy = left * estimate.capacity
     for _ in range(RANGE_ITERATIONS):
         hours = energy / per_km * usual.ride_pace / 60.0
@@ -326,7 +307,7 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
         energy = left * estimate.capacity / factor
     km = energy / per_km
     driving = np.column_stack([km * usual.driving_energy_per_km, np.zeros(len(left))])
-    at_reserve = compute_end_soc(estimate, usual.correct(driving, BY_PLAN), km * usual.ride_pace / 60.0)
+    at_reserve = compute_end_soc(estimate, usual.add_parts(driving), km * usual.ride_pace / 60.0)
     return DrivingRange(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
 
 

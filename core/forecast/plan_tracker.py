@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_keys, take_lanes
-from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
+from socast.core.forecast.learning.consumption_terms import TEMPERATURES
+from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.outlook import OVERTIME, is_plan_current
 from socast.core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
 from socast.core.totals.accumulator import Totals

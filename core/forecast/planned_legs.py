@@ -9,7 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
-from socast.core.forecast.learning.leg_energy import LEAST_KM, TEMPERATURES, LegEnergyTables
+from socast.core.forecast.learning.consumption_terms import LEAST_KM, TEMPERATURES
+from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.wire.messages import Leg, Plan
 
 _KNOTS: Final = len(TEMPERATURES)

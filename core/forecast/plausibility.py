@@ -24,7 +24,6 @@ from msgspec import UNSET
 from socast.core.batch import Floats, replace_nan
 from socast.core.columns import KMH
 from socast.core.forecast.forecast_rows import INTERVALS, NEWEST_FORECAST, ForecastRows
-from socast.core.forecast.learning.leg_energy import LARGEST_PER_KM, LARGEST_POWER
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.measured_energy import LARGEST_BATTERY, compute_largest_energy
 from socast.core.vehicles.catalogue import RATED
@@ -33,6 +32,10 @@ from socast.core.wire.messages import Interval, LegOutlook, Outlook
 
 FASTEST: Final = 300 * KMH
 """Largest mean speed of a ride, the largest limit that the setting `speed_limit` accepts. [m/s]"""
+LARGEST_PER_KM: Final = 5.0
+"""Largest plausible energy of rides over their kilometres. [kWh/km]"""
+LARGEST_POWER: Final = 100.0
+"""Largest plausible mean of their power. [kW]"""
 CLIMB: Final = 150.0
 """Largest energy of the climb of a leg: 7.5 t by 5,000 m, with losses. [kWh]"""
 JUMP: Final = 100_000.0

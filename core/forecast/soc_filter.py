@@ -32,7 +32,7 @@ from socast.core.compiled_cache import watch_sources
 from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_reading
 from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
 from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
-from socast.core.forecast.kalman_update import apply_named_driver, update_state
+from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
 from socast.core.forecast.soc_reading import (
     compute_jump_variance,
     compute_published_soc,
@@ -110,24 +110,30 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.warmth = 0.0
-    state.predicted = state.model_predicted = 0.0
-    state.compared_predicted = state.compared_used = state.jump = state.uncorrected = 0.0
+    state.predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity = state.log_capacity
-    state.usual, state.usual_variance, state.level_sd = prior.mean, prior.variance, 0.0
-    begin_consumption(state, event.level_sd)
+    state.level, state.level_sd = event.level, 0.0 if isnan(event.level_sd) else event.level_sd
+    state.usual, state.usual_variance = prior.mean, prior.variance + state.level_sd**2
+    state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
+    state.p_sa, state.p_ac = state.p_sc, state.p_cc
 
 
 @njit(cache=False)
-def begin_consumption(state: Any, level_sd: float) -> None:
-    """Begin `a` at its prior distribution, with the standard deviation of the level of the tables."""
-    state.usual_variance += level_sd**2 - state.level_sd**2
-    state.level_sd = level_sd
-    state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
-    state.p_sa, state.p_ac = state.p_sc, state.p_cc
+def follow_level(state: Any, event: Any) -> None:
+    """Express what the shift has used by the tables of an event, if a daily update has replaced those before."""
+    if event.level != state.level and not isnan(event.level):
+        if not isnan(state.level):
+            change = event.level - state.level
+            state.log_consumption = clip(state.log_consumption - change, LARGEST_LOG_CONSUMPTION)
+            state.predicted *= exp(change)
+            state.compared_predicted *= exp(change)
+            if event.duration > 0.0:  # of the ride so far, as the new tables predict it
+                state.seen_predicted = event.predicted * min(state.seen_time / event.duration, 1.0)
+        state.level = event.level
 
 
 @njit(cache=True)
@@ -137,8 +143,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
-    row.model_predicted = state.model_predicted
-    row.uncorrected = state.uncorrected
+    row.level = state.level
     row.charged, row.faulty = state.charged, state.faulty
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
@@ -147,21 +152,17 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
 def update_with_totals(state: Any, event: Any) -> None:
     """Update the state of a car by the totals of a ride or idle period, and by its reading."""
     passed = event.time - state.time if state.active == 1.0 else 0.0
+    follow_level(state, event)
     meter_time, duration = event.meter_time - state.seen_meter_time, event.duration - state.seen_time
-    model_predicted, metered = event.predicted - state.seen_predicted, event.metered - state.seen_metered
+    predicted, metered = event.predicted - state.seen_predicted, event.metered - state.seen_metered
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
-    predicted = event.power * duration / 3600.0 + event.per_km * distance / 1000.0
-    if event.factor != 0.0:  # the prediction may be unknown
-        predicted += event.factor * model_predicted
     remember_totals(state, event)
-    if event.level_sd != state.level_sd:  # the tables were learned within the shift
-        begin_consumption(state, event.level_sd)
     if duration > 0.0:
         state.ambient = warmth / duration
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0
-            add_predicted(state, predicted, model_predicted)
+            state.predicted += 0.0 if isnan(predicted) else predicted
         state.distance += distance
         state.ride_distance += event.riding * distance
     silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE
@@ -183,15 +184,6 @@ def update_with_totals(state: Any, event: Any) -> None:
         discard_soc(state)
     if state.charging == 0.0 and isnan(state.suspect) and not isnan(state.reported):
         record_shift_soc(state)
-
-
-@njit(cache=False)
-def add_predicted(state: Any, predicted: float, model_predicted: float) -> None:
-    """Add predicted energies to those of the shift. [kWh]"""
-    state.predicted += 0.0 if isnan(predicted) else predicted
-    state.model_predicted += 0.0 if isnan(model_predicted) else model_predicted
-    if state.level_sd > 0.0:
-        state.uncorrected = 1.0
 
 
 @njit(cache=False)

@@ -158,7 +158,7 @@ class RouteAhead(NamedTuple):
         """Return the outlook of each leg."""
         is_charge = np.isfinite(self.legs.charge_to)
         legs = self._spread_time(now, way)
-        only = now.usual.correct(np.column_stack([legs.driving, np.zeros(len(is_charge))]), legs.correct_by)
+        only = now.usual.add_parts(np.column_stack([legs.driving, np.zeros(len(is_charge))]))
         energy = now.compute_leg_intervals(self.legs, only, legs.basis).list_intervals()
         stretch, out = np.cumsum(is_charge), []
         for number in range(int(is_charge.sum()) + 1):
@@ -184,8 +184,8 @@ class RouteAhead(NamedTuple):
         idling = pause * now.usual.standing_power + approaches * now.usual.approach_energy
         driving = self.legs.energy @ now.usual.weights[0]
         if is_charge.any():
-            return LegTimes(hours, pause, driving, idling, TO_CHARGE, TO_CHARGE)
-        return LegTimes(hours, pause, driving, idling, int(way.energy.basis[0]), BY_PLAN)
+            return LegTimes(hours, pause, driving, idling, TO_CHARGE)
+        return LegTimes(hours, pause, driving, idling, int(way.energy.basis[0]))
 
     def _compute_stretch(
         self, now: CarOutlook, way: "WayAhead", soc: SocAhead, legs: "LegTimes", rows: Ints, number: int
@@ -202,7 +202,7 @@ class RouteAhead(NamedTuple):
         if number == len(charges) and soc.charged is not None:
             begin = soc.charged
         parts = np.cumsum(np.column_stack([legs.driving, legs.idling])[rows], axis=0)
-        spent = now.usual.correct(parts, legs.correct_by)
+        spent = now.usual.add_parts(parts)
         timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(legs.pause[rows] ** 2))
         until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
         levels = ChargeColumns.from_forecast(
@@ -232,8 +232,8 @@ class LegTimes(NamedTuple):
         Time of each leg and of the wait before it. [h]
     driving, idling : (n,) float
         Energy of both. [kWh]
-    basis, correct_by : int
-        Bases of the forecasts, and of the correction of the energies.
+    basis : int
+        Basis of the forecasts.
     """
 
     hours: Floats
@@ -241,7 +241,6 @@ class LegTimes(NamedTuple):
     driving: Floats
     idling: Floats
     basis: int
-    correct_by: int
 
 
 class WayAhead(NamedTuple):
@@ -301,9 +300,7 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
 
 def _compute_waiting_energy(now: CarOutlook, ahead: EnergyAhead) -> float | None:
     """Return what the car takes of the energy ahead by plan while it drives no leg. [kWh]"""
-    waiting = now.usual.correct(ahead.parts * np.array([0.0, 1.0]), ahead.basis).mean
-    taken = waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours))
-    return _none_if_unknown(float(np.where(np.isnan(ahead.energy), np.nan, taken)[0]))
+    return _none_if_unknown(float((ahead.waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours)))[0]))
 
 
 def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:
@@ -350,7 +347,6 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhe
         return usual._replace(
             energy=ride.energy + usual.energy,
             sd=ride.sd + usual.sd,  # both depend on the same temperature
-            parts=ride.parts + usual.parts,
             km=ride.km + usual.km,
             hours=ride.hours + usual.hours,
         )

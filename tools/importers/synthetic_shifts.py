@@ -22,7 +22,9 @@ PAUSE: Final = 300.0
 SHIFT_BREAK: Final = 8 * 3600.0
 """Shortest time between two shifts. [s]"""
 LONGEST_SPAN: Final = 30 * SECONDS_PER_DAY
-"""Rides recorded farther apart had different weather, so no shift holds both. [s]"""
+"""Rides recorded farther apart are of different seasons, so no shift holds both. [s]"""
+LARGEST_TEMPERATURE_CHANGE: Final = 5.0
+"""No shift holds rides whose outside temperature differs by more from that of its first ride. [K]"""
 START_SOC: Final = 95.0
 """State of charge with which a shift begins. [%]"""
 LOWEST_SOC: Final = 5.0
@@ -49,7 +51,7 @@ class SyntheticShift(NamedTuple):
 
 
 def concatenate_drives(drives: Iterable[Drive], hours: float) -> list[SyntheticShift]:
-    """Concatenate the rides of each car, in their order, into synthetic shifts.
+    """Concatenate the rides of each car into synthetic shifts of one weather, in their order within each shift.
 
     Units: hours [h].
 
@@ -61,8 +63,10 @@ def concatenate_drives(drives: Iterable[Drive], hours: float) -> list[SyntheticS
 
     Notes
     -----
-    A shift ends with the ride by which it reaches its length. It also ends before a ride for which the battery would
-    not suffice, and before a ride recorded more than `LONGEST_SPAN` after its first.
+    A shift begins with the first ride that no shift holds yet. Rides in other weather, see
+    `LARGEST_TEMPERATURE_CHANGE`, wait for another shift. A shift ends with the ride by which it reaches its length. It
+    also ends before a ride for which the battery would not suffice, and before a ride recorded more than `LONGEST_SPAN`
+    after its first.
     """
     shifts: list[SyntheticShift] = []
     by_car = sorted(drives, key=lambda drive: (drive.vehicle_id, drive.start))
@@ -136,17 +140,36 @@ def compute_climb(heights: Floats) -> tuple[float, float]:
 def _group_by_shift(drives: Sequence[Drive], length: float) -> list[list[Drive]]:
     """Return the rides of each shift of a car; `length` is the length of a shift. [s]"""
     shifts: list[list[Drive]] = []
-    lasted, charge = np.inf, START_SOC
-    for drive in drives:
+    left = list(drives)
+    while left:
+        taken = _choose_rides(left, length)
+        shifts.append([left[place] for place in taken])
+        left = [drive for place, drive in enumerate(left) if place not in set(taken)]
+    return shifts
+
+
+def _choose_rides(drives: Sequence[Drive], length: float) -> list[int]:
+    """Return the places of the rides of a shift that begins with the first of some rides."""
+    taken: list[int] = []
+    lasted, charge, temperature = -PAUSE, START_SOC, _find_temperature(drives[0])
+    for place, drive in enumerate(drives):
         first, last, least = _charge_range(drive)
+        if abs(_find_temperature(drive) - temperature) > LARGEST_TEMPERATURE_CHANGE:
+            continue
         empty = charge - (first - least) < LOWEST_SOC
-        if lasted >= length or empty or drive.start - shifts[-1][0].start > LONGEST_SPAN:
-            shifts.append([])
-            lasted, charge = -PAUSE, START_SOC
-        shifts[-1].append(drive)
+        if taken and (lasted >= length or empty or drive.start - drives[0].start > LONGEST_SPAN):
+            break
+        taken.append(place)
         lasted += PAUSE + float(drive.elapsed[-1])
         charge -= first - last
-    return shifts
+    return taken
+
+
+def _find_temperature(drive: Drive) -> float:
+    """Return the mean outside temperature of a ride, NaN where unknown. [°C]"""
+    known = drive.rows.get("ambient_c", np.empty(0))
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def _place(drives: Sequence[Drive], start: float) -> SyntheticShift:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, grown, take_keys, take_lanes
 from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
-from socast.core.forecast.learning.energy_correction import PartForecasts
 
 RECORD_PERIOD: Final = 600.0
 """Time between two recorded forecasts of a car. [s]"""
@@ -41,11 +40,6 @@ class ForecastRecord(NamedTuple):
         Outside temperature, and its mean expected until the end. [°C]
     mean, sd : float
         Forecast charge and its standard deviation. [1]
-    soc : float
-        Charge when it was made. [1]
-    driving, waiting : float
-        Fall of the charge by driving and by waiting, before the correction of `EnergyCorrection`; NaN with
-        `OVER_CHARGE`, where the charge also rises. [1]
     lower, upper : float
         Bounds of the published charge, NaN without an interval. [1]
     """
@@ -58,9 +52,6 @@ class ForecastRecord(NamedTuple):
     ahead_c: float
     mean: float
     sd: float
-    soc: float = nan
-    driving: float = nan
-    waiting: float = nan
     lower: float = nan
     upper: float = nan
 
@@ -80,8 +71,6 @@ class ShiftErrors(NamedTuple):
     ahead_km, ambient_c, ahead_c : (n,) float
     scores : (n,) float
         Standardised errors. [1]
-    parts : PartForecasts
-        Forecasts of driving and waiting, and their outcome.
     outcomes : (3,) int
         Numbers of forecasts with the outcome below, inside and above the published interval.
     """
@@ -92,7 +81,6 @@ class ShiftErrors(NamedTuple):
     ambient_c: Floats
     ahead_c: Floats
     scores: Floats
-    parts: PartForecasts
     outcomes: Ints
 
 
@@ -219,8 +207,7 @@ def compute_shift_errors(
     out = []
     for basis in np.unique(usable["basis"]):
         of_basis = usable[usable["basis"] == basis]
-        mean, began = of_basis["mean"], of_basis["soc"]
-        scores = (soc - mean) / of_basis["sd"]
+        scores = (soc - of_basis["mean"]) / of_basis["sd"]
         out.append(
             ShiftErrors(
                 int(basis),
@@ -229,9 +216,6 @@ def compute_shift_errors(
                 of_basis["ambient_c"],
                 of_basis["ahead_c"],
                 scores,
-                PartForecasts(
-                    of_basis["driving"], of_basis["waiting"], of_basis["ahead_c"], began - soc, of_basis["sd"]
-                ),
                 count_outcomes(of_basis["lower"], of_basis["upper"], soc),
             )
         )

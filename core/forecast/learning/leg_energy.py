@@ -1,8 +1,8 @@
-"""Energy of a leg of given distance and duration, by vehicle model, pace and outside temperature.
+"""Energy of the legs of a plan, of waiting and of a usual shift of a vehicle model, at each outside temperature.
 
 A plan states how far and how long a leg is, not how often the car accelerates nor how much it heats. That is known from
-earlier rides (`socast.core.forecast.learning.ride_stats`) at knots of pace and temperature. Between two knots the
-values are interpolated linearly.
+earlier rides (`socast.core.forecast.learning.energy_regression`) at knots of temperature. Between two knots the values
+are interpolated linearly.
 """
 
 from math import isnan
@@ -12,126 +12,136 @@ import numpy as np
 from numba import njit
 
 from socast.core.batch import Floats
+from socast.core.compiled_cache import watch_sources
+from socast.core.forecast.learning import consumption_terms
+from socast.core.forecast.learning.consumption_terms import (
+    DRIVING,
+    EXPANSION,
+    GAINED,
+    LOST,
+    PACES,
+    START,
+    STRETCH_AMOUNTS,
+    TEMPERATURES,
+    WAITING,
+    compute_amounts,
+    fill_ride_amounts,
+)
 
-PACES: Final = np.array([1.0, 1.5, 2.2, 3.0, 4.3, 7.5, 15.0])
-"""Knots of pace. The energy per kilometre grows linearly with the time per kilometre. [min/km]"""
-TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])
-"""Knots of the outside temperature. [°C]"""
-TYPICAL_KM: Final = 4.0
-"""Length of a typical ride. [km]"""
 RECOVERED_SHARE: Final = 0.6
 """Share of the surplus energy of a descent that returns to the battery. Estimated. [1]"""
 STEEPEST_DESCENT: Final = 300.0
 """Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
-LEAST_KM: Final = 1e-9
-"""A shorter distance is none; the time per kilometre would overflow. [km]"""
 LEAST_ENERGY_PER_KM: Final = 0.01
 """Smallest energy of a level way. [kWh/km]"""
-LARGEST_PER_KM: Final = 5.0
-"""Largest plausible energy of rides and idle periods over the kilometres of rides. [kWh/km]"""
-LARGEST_POWER: Final = 100.0
-"""Largest plausible mean of their power. [kW]"""
+LEAST_POWER: Final = 0.05
+"""Smallest power of a car that is switched on. [kW]"""
 
 
-class LegTerms(NamedTuple):
-    """Hold the terms whose weighted sum is the energy of a leg.
+class UsualMix(NamedTuple):
+    """Hold the amounts of the usual rides and idle periods of a vehicle model.
 
     Parameters
     ----------
-    knot : int
-        Index of the knot of pace before that of the leg.
-    near_km, far_km : float
-        Distance at that knot, and at the next one. [km]
-    waiting : float
-        Time beyond that of the slowest pace. [h]
-    climb, descent : float
-        Metres gained and lost beyond the usual. [m]
-    start : float
-        Number of ride beginnings, less those that a leg of typical length includes. [1]
+    rides, idle : (amounts,) float
+        Sums over rides, and over idle periods.
+    idle_periods : float
+        Number of idle periods.
     """
 
-    knot: int
-    near_km: float
-    far_km: float
-    waiting: float
-    climb: float
-    descent: float
-    start: float
+    rides: Floats
+    idle: Floats
+    idle_periods: float
 
 
 class LegEnergyTables(NamedTuple):
-    """Hold the consumption of a vehicle model, as learned from its rides and idle periods.
+    """Hold the consumption of a vehicle model.
 
     Parameters
     ----------
-    leg_energy_per_km : (paces, temperatures) float
-        Energy of a leg. [kWh/km]
-    climbed_per_km, descended_per_km : (paces,) float
-        Mean climb and descent of the rides behind the table. [m/km]
-    climb_energy, descent_energy : float
-        Energy of an additional metre gained, or lost. [kWh/m]
-    start_energy : float
-        Energy of a ride however short. [kWh]
-    standing_power : (temperatures,) float
-        Power of a car that waits. [kW]
-    approach_energy : (temperatures,) float
-        Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
-    ride_factor : (temperatures,) float
-        Correction factor of the predicted energy of rides. [1]
-    ride_power : (temperatures,) float
-        Correction that is added to the predicted power of rides. [kW]
-    idle_factor, idle_power : (temperatures,) float
-        The same corrections for idle periods. [1], [kW]
-    energy_per_km : (temperatures,) float
-        Energy of rides and idle periods together, over the kilometres of rides. [kWh/km]
-    mean_power : (temperatures,) float
-        The same energy over the hours of both. [kW]
-    relative_sd : (temperatures,) float
-        Standard deviation of the energy at a temperature, larger where no rides were, over that energy. [1]
-    mean_pause : float
-        Mean duration of an idle period. [h]
-    ride_pace : float
-        Time per kilometre of rides together. [min/km]
-    driven_energy_per_km : float
-        Correction that is added for each kilometre driven, 0 for learned tables. [kWh/km]
-    level_sd : float
-        Standard deviation of the level of the tables, 0 for learned tables. A shift reveals it. [1]
+    rates : (temperatures, amounts) float
+        Energy of each amount of a stretch. [kWh per amount]
+    mix : UsualMix
+    level_sd : (temperatures,) float
+        Relative standard deviation of the energy of the usual mix. A shift reveals it. [1]
+    parts_covariance : (temperatures, 2, 2) float
+        Covariance of the relative energies of driving and of waiting beside that of the usual mix. [1]
+    level : float
+        Logarithm of the energy that the usual mix takes by these tables, over that by the first ones. [1]
     """
 
-    leg_energy_per_km: Floats
-    climbed_per_km: Floats
-    descended_per_km: Floats
-    climb_energy: float
-    descent_energy: float
-    start_energy: float
-    standing_power: Floats
-    approach_energy: Floats
-    ride_factor: Floats
-    ride_power: Floats
-    idle_factor: Floats
-    idle_power: Floats
-    energy_per_km: Floats
-    mean_power: Floats
-    relative_sd: Floats
-    mean_pause: float
-    ride_pace: float
-    driven_energy_per_km: float = 0.0
-    level_sd: float = 0.0
+    rates: Floats
+    mix: UsualMix
+    level_sd: Floats
+    parts_covariance: Floats
+    level: float
 
-    def get_ride_correction(self) -> tuple[Floats, Floats]:
-        """Return the factor and the power that correct the predicted energy of rides at each temperature."""
-        return self.ride_factor, self.ride_power
+    @classmethod
+    def create(cls, mean: Floats, covariance: Floats, mix: UsualMix, level: float) -> "LegEnergyTables":
+        """Return the tables of coefficients with a mean, (terms,), and a covariance, (terms, terms)."""
+        rates = EXPANSION @ mean
+        rates[:, : len(PACES)] = np.maximum(rates[:, : len(PACES)], LEAST_ENERGY_PER_KM)
+        rates[:, [DRIVING, WAITING]] = np.maximum(rates[:, [DRIVING, WAITING]], LEAST_POWER)
+        rates[:, GAINED] = np.maximum(rates[:, GAINED], 0.0)
+        parts = np.array([mix.rides, mix.idle])
+        terms = parts @ EXPANSION  # (temperatures, 2, terms)
+        energy = np.maximum(parts @ rates[:, :, np.newaxis], 1e-9)  # (temperatures, 2, 1)
+        relative = terms / energy
+        share = energy / energy.sum(axis=1, keepdims=True)
+        whole = (share * relative).sum(axis=1, keepdims=True)
+        beside = relative - whole
+        level_sd = np.sqrt(np.einsum("tpi,ij,tpj->t", whole, covariance, whole))
+        return cls(rates, mix, level_sd, np.einsum("tpi,ij,tqj->tpq", beside, covariance, beside), level)
+
+    @property
+    def standing_power(self) -> Floats:
+        """Power of a car that waits, (temperatures,). [kW]"""
+        return np.asarray(self.rates[:, WAITING])
+
+    @property
+    def approach_energy(self) -> Floats:
+        """Mean energy of the empty way to a ride, beyond that of standing as long, (temperatures,). [kWh]"""
+        way = self.mix.idle.copy()
+        way[WAITING] = 0.0
+        return np.asarray(self.rates @ way / max(self.mix.idle_periods, 1.0))
+
+    @property
+    def energy_per_km(self) -> Floats:
+        """Energy of rides and idle periods together, over the kilometres of rides, (temperatures,). [kWh/km]"""
+        return self._compute_mix_energy() / float(self.mix.rides[: len(PACES)].sum())
+
+    @property
+    def mean_power(self) -> Floats:
+        """The same energy over the hours of both, (temperatures,). [kW]"""
+        return self._compute_mix_energy() / float((self.mix.rides + self.mix.idle)[[DRIVING, WAITING]].sum())
+
+    @property
+    def mean_pause(self) -> float:
+        """Mean duration of an idle period. [h]"""
+        return float(self.mix.idle[WAITING]) / max(self.mix.idle_periods, 1.0)
+
+    @property
+    def ride_pace(self) -> float:
+        """Time per kilometre of rides together. [min/km]"""
+        return 60.0 * float(self.mix.rides[DRIVING]) / float(self.mix.rides[: len(PACES)].sum())
 
     @property
     def driving_energy_per_km(self) -> Floats:
         """Energy of a kilometre on a long way that has begun, at the usual pace, (temperatures,). [kWh/km]"""
-        at_pace = compute_knot_weights(np.array([self.ride_pace]), PACES)[0] @ self.leg_energy_per_km
-        return np.asarray(np.maximum(at_pace - self.start_energy / TYPICAL_KM, LEAST_ENERGY_PER_KM))
+        way = np.zeros((1, STRETCH_AMOUNTS))
+        hours, climbs = np.array([self.ride_pace / 60.0]), self.climbs[:, np.newaxis]
+        compute_amounts(np.ones(1, np.bool_), np.ones(1), hours, *climbs, way)
+        way[0, START] = 0.0
+        return np.asarray(np.maximum(self.rates @ way[0], LEAST_ENERGY_PER_KM))
 
-    def is_plausible(self) -> bool:
-        """Return whether the consumption is positive and possible at every temperature; else no car has such tables."""
-        limits = (self.energy_per_km, LARGEST_PER_KM), (self.mean_power, LARGEST_POWER)
-        return not any(((values <= 0.0) | (values > most)).any() for values, most in limits)
+    @property
+    def climbs(self) -> Floats:
+        """Mean climb and descent of rides, (2,). [m/km]"""
+        return self.mix.rides[[GAINED, LOST]] / float(self.mix.rides[: len(PACES)].sum())
+
+    def _compute_mix_energy(self) -> Floats:
+        """Return the energy of the usual mix, (temperatures,). [kWh]"""
+        return np.asarray(self.rates @ (self.mix.rides + self.mix.idle))
 
     def compute_leg_energy(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> tuple[Floats, Floats]:
         """Return the energy of legs at each temperature.
@@ -151,72 +161,29 @@ class LegEnergyTables(NamedTuple):
             takes half of its energy. [kWh]
         """
         out = np.empty((2, len(km), len(TEMPERATURES)))
-        energies = np.array([self.climb_energy, self.descent_energy, self.start_energy])
-        levels = np.concatenate([self.leg_energy_per_km, self.standing_power[np.newaxis]])
-        _compute_leg_energy(np.array([km, seconds, gained, lost]), self._stack_climbs(), energies, levels, out)
+        _compute_leg_energy(np.array([km, seconds, gained, lost]), self.climbs, self.rates, out)
         return out[0], out[1]
-
-    def compute_terms(self, km: float, seconds: float, gained: float, lost: float) -> LegTerms:
-        """Return the terms of the energy of a leg; its climb and descent are NaN for the usual ones. [m]"""
-        terms: LegTerms = _compute_terms(km, seconds, gained, lost, self._stack_climbs())
-        return terms
-
-    def _stack_climbs(self) -> Floats:
-        """Return the usual climb and descent at each pace, (2, paces). [m/km]"""
-        return np.array([self.climbed_per_km, self.descended_per_km])
 
 
 @njit(cache=True)
-def _compute_leg_energy(legs: Any, climbs: Any, energies: Any, levels: Any, out: Any) -> None:
-    """Compute the energy of legs; `energies` are those of climb, descent and start, `levels` of paces and waiting."""
-    climb_energy, descent_energy, start_energy = energies
+def _compute_leg_energy(legs: Any, climbs: Any, rates: Any, out: Any) -> None:
+    """Compute the energy of legs; `climbs` are the usual climb and descent. [m/km]"""
+    amounts = np.empty(STRETCH_AMOUNTS)
     for i in range(legs.shape[1]):
         km, seconds, gained, lost = legs[:, i]
-        terms = _compute_terms(km, seconds, gained, lost, climbs)
-        returned = min(0.0 if isnan(lost) else lost, STEEPEST_DESCENT * km) * min(descent_energy, 0.0)
+        returned_m = min(0.0 if isnan(lost) else lost, STEEPEST_DESCENT * km)
+        gained = climbs[0] * km if isnan(gained) else gained
+        lost = climbs[1] * km if isnan(lost) else lost
+        fill_ride_amounts(amounts, km, seconds / 3600.0, gained, lost)
         for begun in range(2):
-            climbing = terms.climb * climb_energy + terms.descent * descent_energy
-            extra = climbing + (terms.start - begun) * start_energy
+            amounts[START] = 1.0 - begun
             for j in range(out.shape[2]):
-                level = terms.near_km * levels[terms.knot, j] + terms.far_km * levels[terms.knot + 1, j]
-                taken = level + terms.waiting * levels[-1, j] + extra
+                taken = 0.0
+                for k in range(STRETCH_AMOUNTS):
+                    taken += amounts[k] * rates[j, k]
+                returned = returned_m * min(rates[j, LOST], 0.0)
                 out[begun, i, j] = max(taken, RECOVERED_SHARE * taken, returned)
 
 
-@njit(cache=True)
-def _compute_terms(km: float, seconds: float, gained: float, lost: float, climbs: Any) -> Any:
-    """Return the terms of a leg; `climbs` are the usual climb and descent at each pace. [m/km]"""
-    pace = seconds / 60.0 / km if km > LEAST_KM else PACES[-1]
-    pace = min(max(pace, PACES[0]), PACES[-1])
-    knot = 0
-    while knot < len(PACES) - 2 and PACES[knot + 1] <= pace:
-        knot += 1
-    share = (pace - PACES[knot]) / (PACES[knot + 1] - PACES[knot])
-    climbed = (1.0 - share) * climbs[0, knot] + share * climbs[0, knot + 1]
-    descended = (1.0 - share) * climbs[1, knot] + share * climbs[1, knot + 1]
-    climb = 0.0 if isnan(gained) else gained - climbed * km
-    descent = 0.0 if isnan(lost) else lost - descended * km
-    waiting = max(seconds / 60.0 - PACES[-1] * km, 0.0) / 60.0
-    return LegTerms(knot, (1.0 - share) * km, share * km, waiting, climb, descent, 1.0 - km / TYPICAL_KM)
+watch_sources(_compute_leg_energy, consumption_terms)
 
-
-def compute_knot_weights(values: Floats, knots: Floats) -> Floats:
-    """Return the weights of linear interpolation between knots.
-
-    Returns
-    -------
-    (n, knots) float
-        They add up to 1. Beyond the last knot, that knot has all the weight.
-
-    Examples
-    --------
-    >>> compute_knot_weights(np.array([15.0, 99.0]), np.array([10.0, 20.0, 40.0])).tolist()
-    [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]]
-    """
-    values = np.clip(values, knots[0], knots[-1])
-    low = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
-    share = (values - knots[low]) / (knots[low + 1] - knots[low])
-    out = np.zeros((len(values), len(knots)))
-    rows = np.arange(len(values))
-    out[rows, low], out[rows, low + 1] = 1.0 - share, share
-    return out

@@ -1,0 +1,224 @@
+"""Describe stretches of driving and waiting by the amounts that their energy depends on, and what physics expects.
+
+A stretch is a ride, an idle period or a leg of a plan. Its energy at an outside temperature is linear in its amounts:
+kilometres by pace, kilometres times the square of the mean speed, hours of driving and of waiting, metres climbed and
+descended, and the beginning of a ride. How much each amount takes depends on the temperature through few coefficients:
+air and tyres in the cold, heating, and air conditioning. The coefficients are linear in the energy, too, so that a
+regression of measured energies finds them (`socast.core.forecast.learning.energy_regression`).
+
+Before any data, the official consumption of the vehicle model without charging losses is split into air drag, which
+follows from its drag area, and the rest. Heating and air conditioning are those of the reference car.
+"""
+
+from math import isnan
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.vehicles import ACCESSORIES, VehicleModel
+
+PACES: Final = np.array([1.0, 1.5, 2.2, 3.0, 4.3, 7.5, 15.0])
+"""Knots of pace. Time beyond that of the slowest pace is waiting. [min/km]"""
+TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])
+"""Knots of the outside temperature. [°C]"""
+CITY_PACE: Final = 2.4
+"""Time per kilometre that is assumed of the kilometres of idle periods, of which only the sum is known. [min/km]"""
+REFERENCE_SPEED: Final = 50.0
+"""Speed at which the term of the squared speed counts once. [km/h]"""
+LEAST_KM: Final = 1e-9
+"""A shorter distance is none; the time per kilometre would overflow. [km]"""
+
+FAST: Final = len(PACES)
+"""Place of kilometres times squared speed among the amounts. [km]"""
+DRIVING: Final = FAST + 1
+"""Place of the hours of driving. [h]"""
+WAITING: Final = FAST + 2
+"""Place of the hours of waiting. [h]"""
+GAINED: Final = FAST + 3
+"""Place of the metres climbed. [m]"""
+LOST: Final = FAST + 4
+"""Place of the metres descended. [m]"""
+START: Final = FAST + 5
+"""Place of the beginnings of rides. [1]"""
+STRETCH_AMOUNTS: Final = FAST + 6
+"""Number of amounts of a stretch; the first are the kilometres at each of `PACES`."""
+
+DRIVING_SHARE: Final = 0.75
+"""Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]
+
+Estimated, as the other figures of this module: the standard deviations below cover what they miss."""
+CONSUMPTION_PER_MASS: Final = 1.2e-4
+"""Official consumption over kerb mass of the cars in the catalogue, for cars without a rating. [kWh/(km kg)]"""
+LEAST_LEVEL: Final = 0.3
+"""Least share of the official driving consumption that is not air drag. [1]"""
+EFFICIENCY: Final = 0.85
+"""Efficiency from the battery to the wheels. [1]"""
+UNEVEN_SPEED: Final = 1.25
+"""Mean square of the speed over the square of its mean, on rides. [1]"""
+RECOVERED_CLIMB: Final = 0.6
+"""Share of the energy of a climb that returns on the way down. [1]"""
+COLD_BELOW: Final = 20.0
+"""Temperature below which air is denser and tyres are stiffer. [°C]"""
+COLD_PER_KELVIN: Final = 0.006
+"""Growth of the energy per kilometre for each kelvin below that. [1/K]"""
+
+
+class Prior(NamedTuple):
+    """Hold mean and standard deviation of each coefficient before any data, (terms,) float each."""
+
+    mean: Floats
+    sd: Floats
+
+
+def _split_climate() -> tuple[Floats, Floats]:
+    """Return the power of heating and of cooling of the reference car at each knot of temperature. [kW]"""
+    power = (ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) - ACCESSORIES.standby) / 1000.0
+    cold = TEMPERATURES + ZERO_CELSIUS < ACCESSORIES.cooling_on
+    return np.where(cold, power, 0.0), np.where(cold, 0.0, power)
+
+
+_HEATING, _COOLING = _split_climate()
+_COLD: Final = np.maximum(COLD_BELOW - TEMPERATURES, 0.0)
+_KM: Final = slice(0, len(PACES))
+_AWAKE: Final = [DRIVING, WAITING]
+
+
+def _build_terms() -> tuple[tuple[str, ...], Floats]:
+    """Return the name of each term, and what each amount contributes to it at each knot of temperature."""
+    terms: list[tuple[str, Floats]] = []
+
+    def add(name: str, places: Any, by_temperature: Floats | float = 1.0) -> None:
+        term = np.zeros((len(TEMPERATURES), STRETCH_AMOUNTS))
+        term[:, places] = np.broadcast_to(by_temperature, len(TEMPERATURES))[:, np.newaxis]
+        terms.append((name, term))
+
+    add("level", _KM)
+    for place in range(len(PACES)):
+        add("pace", [place])
+    add("cold", _KM, _COLD)
+    add("fast", [FAST])
+    add("driving", [DRIVING])
+    add("waiting", [WAITING])
+    add("heating", _AWAKE, _HEATING)
+    add("cooling", _AWAKE, _COOLING)
+    add("heating_waiting", [WAITING], _HEATING)
+    for knot in range(len(TEMPERATURES)):
+        add("temperature", _AWAKE, np.eye(len(TEMPERATURES))[knot])
+    add("gained", [GAINED])
+    add("lost", [LOST])
+    add("start", [START])
+    return tuple(name for name, _ in terms), np.stack([term for _, term in terms], axis=-1)
+
+
+TERMS, EXPANSION = _build_terms()
+"""Name of each term, and what an amount of a stretch contributes to it, (temperatures, amounts, terms) float."""
+
+
+def make_prior(model: VehicleModel, accessory_scale: float) -> Prior:
+    """Return what physics expects of the coefficients of a vehicle model."""
+    rated = CONSUMPTION_PER_MASS * model.mass_kg if model.rated_kwh_per_km is None else model.rated_kwh_per_km
+    pressure = 0.5 * STANDARD_AIR_DENSITY * (REFERENCE_SPEED / 3.6) ** 2
+    drag = UNEVEN_SPEED * pressure * model.drag_area_m2 / EFFICIENCY * 1000.0 / JOULES_PER_KWH
+    level = max(DRIVING_SHARE * rated - drag, LEAST_LEVEL * DRIVING_SHARE * rated)
+    climb = model.mass_kg * GRAVITY / EFFICIENCY / JOULES_PER_KWH
+    standby, whole = accessory_scale * ACCESSORIES.standby / 1000.0, DRIVING_SHARE * rated
+    values = {
+        "level": (level, 0.25 * whole),
+        "pace": (0.0, 0.08 * whole),
+        "cold": (COLD_PER_KELVIN * whole, 0.8 * COLD_PER_KELVIN * whole),
+        "fast": (drag, 0.4 * drag),
+        "driving": (standby, 0.4),
+        "waiting": (standby, 0.2),
+        "heating": (accessory_scale, 0.4 * accessory_scale),
+        "cooling": (accessory_scale, 0.5 * accessory_scale),
+        "heating_waiting": (0.0, 0.25 * accessory_scale),
+        "temperature": (0.0, 0.2),
+        "gained": (climb, 0.3 * climb),
+        "lost": (-RECOVERED_CLIMB * climb, 0.3 * climb),
+        "start": (0.0, 0.05),
+    }
+    mean, sd = np.array([values[name] for name in TERMS]).T
+    return Prior(mean, sd)
+
+
+@njit(cache=False)
+def fill_ride_amounts(out: Any, km: float, hours: float, gained: float, lost: float) -> None:
+    """Write the amounts of a ride or leg; unknown climbs count as none."""
+    driving = min(hours, PACES[-1] / 60.0 * km) if km > LEAST_KM else 0.0
+    pace = 60.0 * driving / km if km > LEAST_KM else PACES[-1]
+    pace = min(max(pace, PACES[0]), PACES[-1])
+    knot = 0
+    while knot < len(PACES) - 2 and PACES[knot + 1] <= pace:
+        knot += 1
+    share = (pace - PACES[knot]) / (PACES[knot + 1] - PACES[knot])
+    out[:] = 0.0
+    out[knot], out[knot + 1] = (1.0 - share) * km, share * km
+    out[FAST] = km * (60.0 / pace / REFERENCE_SPEED) ** 2
+    out[DRIVING], out[WAITING] = driving, hours - driving
+    out[GAINED] = 0.0 if isnan(gained) else gained
+    out[LOST] = 0.0 if isnan(lost) else lost
+    out[START] = 1.0
+
+
+@njit(cache=False)
+def fill_idle_amounts(out: Any, km: float, hours: float) -> None:
+    """Write the amounts of an idle period, all of which counts as waiting."""
+    fill_ride_amounts(out, km, CITY_PACE / 60.0 * km, 0.0, 0.0)
+    out[DRIVING], out[WAITING], out[START] = 0.0, hours, 0.0
+
+
+@njit(cache=True)
+def compute_amounts(riding: Any, km: Any, hours: Any, gained: Any, lost: Any, out: Any) -> None:
+    """Write the amounts of rides and of idle periods, (n, amounts)."""
+    for i in range(len(km)):
+        if riding[i]:
+            fill_ride_amounts(out[i], km[i], hours[i], gained[i], lost[i])
+        else:
+            fill_idle_amounts(out[i], km[i], hours[i])
+
+
+@njit(cache=True)
+def predict_energy(amounts: Any, kinds: Any, weights: Any, rates: Any, out: Any) -> None:
+    """Write the energy of stretches of these amounts. [kWh]
+
+    Parameters
+    ----------
+    weights : (n, temperatures) float
+        Weights of the knots of temperature. [1]
+    rates : (kinds, temperatures, amounts) float
+        Energy of each amount at each knot. [kWh per amount]
+    """
+    for i in range(len(kinds)):
+        energy = 0.0
+        for knot in range(weights.shape[1]):
+            if weights[i, knot] != 0.0:
+                of_knot = 0.0
+                for j in range(amounts.shape[1]):
+                    of_knot += amounts[i, j] * rates[kinds[i], knot, j]
+                energy += weights[i, knot] * of_knot
+        out[i] = energy
+
+
+def compute_knot_weights(values: Floats, knots: Floats) -> Floats:
+    """Return the weights of linear interpolation between knots.
+
+    Returns
+    -------
+    (n, knots) float
+        They add up to 1. Beyond the last knot, that knot has all the weight.
+
+    Examples
+    --------
+    >>> compute_knot_weights(np.array([15.0, 99.0]), np.array([10.0, 20.0, 40.0])).tolist()
+    [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]]
+    """
+    values = np.clip(values, knots[0], knots[-1])
+    low = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
+    share = (values - knots[low]) / (knots[low + 1] - knots[low])
+    out = np.zeros((len(values), len(knots)))
+    rows = np.arange(len(values))
+    out[rows, low], out[rows, low + 1] = 1.0 - share, share
+    return out

@@ -1,0 +1,218 @@
+"""Learn what driving, waiting and the climate take: one Bayesian regression of each vehicle model, updated daily.
+
+The measured energy of each ride and idle period is regressed on its terms
+(`socast.core.forecast.learning.consumption_terms`) with the expectation of physics as prior,
+
+    energy = terms · coefficients + g · (energy by the tables of the day) + noise.
+
+The rides of a car on one day share its weather, its driver and its state. Their common relative deviation g is a random
+effect with the standard deviation `DAY_SD`, which the normal equations integrate out: many rides of one car on one day
+tell little of the level, but much of how driving differs from waiting. The noise of a row is the measurement
+uncertainty of its energy, and a part that grows with the energy. All that rows leave behind are sums. Older days lose
+weight.
+
+References
+----------
+Gelman et al., Bayesian Data Analysis, 3rd edition, section 14.8, ISBN 978-1-4398-4095-5. Henderson, Biometrics 31
+(1975) 423, DOI 10.2307/2529430, on random effects in normal equations.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from socast.core.batch import Floats, Ints
+from socast.core.forecast.learning.consumption_terms import (
+    CITY_PACE,
+    EXPANSION,
+    STRETCH_AMOUNTS,
+    TERMS,
+    WAITING,
+    Prior,
+    compute_amounts,
+)
+from socast.core.forecast.learning.leg_energy import LegEnergyTables, UsualMix
+from socast.core.forecast.soc_filter import ENERGY_SD
+from socast.core.totals.day_sums import DaySums
+
+DAY_SD: Final = 0.12
+"""Standard deviation of the energy of a car on a day over that of the fleet: car, driver and day. [1]"""
+DAY_MEMORY: Final = 0.98
+"""Weight of a day's rows one day later."""
+LARGEST_RESIDUAL_SDS: Final = 4.0
+"""A row with a larger residual has less weight: as much as if its residual was this one. [standard deviations]"""
+USUAL_KM: Final = 20.0
+USUAL_HOURS: Final = 1.2
+USUAL_RIDES: Final = 5.0
+"""Kilometres of rides, hours of waiting between them, and rides, that the usual mix begins with."""
+_SIZE: Final = len(TERMS)
+
+
+def _make_first_mix() -> UsualMix:
+    """Return the usual mix before any rides."""
+    rides, idle = np.zeros((1, STRETCH_AMOUNTS)), np.zeros(STRETCH_AMOUNTS)
+    one = np.ones(1)
+    hours = USUAL_KM * CITY_PACE / 60.0 * one
+    compute_amounts(np.ones(1, np.bool_), USUAL_KM * one, hours, 0.0 * one, 0.0 * one, rides)
+    idle[WAITING] = USUAL_HOURS
+    return UsualMix(rides[0], idle, USUAL_RIDES)
+
+
+FIRST_MIX: Final = _make_first_mix()
+"""Usual mix before any rides, which the sums of rides complete."""
+
+
+class StretchRows(NamedTuple):
+    """Hold n rides or idle periods that have ended.
+
+    Parameters
+    ----------
+    lane : (n,) int
+    riding : (n,) bool
+        Whether it is a ride.
+    amounts : (n, amounts) float
+    weights : (n, temperatures) float
+        Weights of the knots of temperature. [1]
+    energy, sd : (n,) float
+        Measured energy and its standard uncertainty, NaN where unknown. [kWh]
+    """
+
+    lane: Ints
+    riding: Any
+    amounts: Floats
+    weights: Floats
+    energy: Floats
+    sd: Floats
+
+    def rows(self, which: Ints) -> "StretchRows":
+        """Return some of the rows."""
+        return StretchRows(*(column[which] for column in self))
+
+
+class ModelSums:
+    """Hold the normal equations of a vehicle model, and the coefficients of the last daily update."""
+
+    def __init__(self, mean: Floats) -> None:
+        self.mean, self.level = mean.copy(), 0.0
+        shapes: dict[str, tuple[int, ...]] = {
+            "matrix": (_SIZE, _SIZE),
+            "right": (_SIZE,),
+            "terms": (_SIZE,),  # of all rows
+            "rides": (STRETCH_AMOUNTS,),
+            "idle": (STRETCH_AMOUNTS,),
+            "counts": (2,),  # of rides, and of idle periods
+        }
+        self.known, self.today = DaySums(**shapes), DaySums(**shapes)
+        self._cars: dict[int, Floats] = {}  # sums of the day of each lane
+
+    @property
+    def rides(self) -> float:
+        """Return the number of rides, of which older ones count less."""
+        return float(self.known.get("counts")[0])
+
+    def add(self, rows: StretchRows) -> None:
+        """Add rides and idle periods for the next daily update, in their order."""
+        for i, lane in enumerate(rows.lane.tolist()):
+            terms = rows.amounts[i] @ np.tensordot(rows.weights[i], EXPANSION, 1)
+            self.today.add("terms", terms)
+            self.today.add("rides" if rows.riding[i] else "idle", rows.amounts[i])
+            self.today.add("counts", 1.0, (0 if rows.riding[i] else 1,))
+            if np.isfinite(energy := float(rows.energy[i])) and np.isfinite(sd := float(rows.sd[i])):
+                predicted = float(terms @ self.mean)
+                expected = max(predicted, 0.0)
+                variance = sd**2 + ENERGY_SD**2 * expected
+                off = abs(energy - predicted) / np.hypot(np.sqrt(variance), DAY_SD * expected)
+                weight = min(1.0, LARGEST_RESIDUAL_SDS / max(off, 1e-9)) / variance
+                self._add_row(lane, terms, expected, energy, weight)
+
+    def _add_row(self, lane: int, terms: Floats, expected: float, energy: float, weight: float) -> None:
+        """Add a row to the normal equations, where the deviation of the lane's day is integrated out."""
+        before = self._cars.setdefault(lane, np.zeros(_SIZE + 2))
+        after = before + weight * expected * np.concatenate([terms, [expected, energy]])
+        matrix, right = weight * np.outer(terms, terms), weight * energy * terms
+        for sums, sign in ((before, 1.0), (after, -1.0)):
+            shared = sign * sums[:_SIZE] / (DAY_SD**-2.0 + sums[_SIZE])
+            matrix += np.outer(shared, sums[:_SIZE])
+            right += shared * sums[_SIZE + 1]
+        self._cars[lane] = after
+        self.today.add("matrix", matrix)
+        self.today.add("right", right)
+
+    def apply_daily_update(self, prior: Prior) -> None:
+        """Let the rows of the day take effect."""
+        if not self.today.get("counts").any():
+            return
+        for name in ("matrix", "right", "terms", "rides", "idle", "counts"):
+            self.known.add(name, self.today.get(name) - (1.0 - DAY_MEMORY) * self.known.get(name))
+        self.today.clear()
+        self._cars = {}
+        before, terms = self.mean, self.known.get("terms")
+        self.mean = self.solve(prior)[0]
+        energies = float(terms @ self.mean), float(terms @ before)
+        if min(energies) > 0.0:
+            self.level += float(np.log(energies[0] / energies[1]))
+
+    def solve(self, prior: Prior) -> tuple[Floats, Floats]:
+        """Return mean and covariance of the coefficients."""
+        precision = np.diag(prior.sd**-2.0)
+        covariance = np.asarray(np.linalg.inv(self.known.get("matrix") + precision), np.float64)
+        return covariance @ (self.known.get("right") + precision @ prior.mean), covariance
+
+    def get_mix(self) -> UsualMix:
+        """Return the usual mix of rides and idle periods."""
+        rides, idle = FIRST_MIX.rides + self.known.get("rides"), FIRST_MIX.idle + self.known.get("idle")
+        return UsualMix(rides, idle, FIRST_MIX.idle_periods + float(self.known.get("counts")[1]))
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        cars = [(lane, sums.tobytes()) for lane, sums in self._cars.items()]
+        return self.known.dump(), self.today.dump(), cars, self.mean.tobytes(), self.level
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        known, today, cars, mean, self.level = state
+        self.known.load(known)
+        self.today.load(today)
+        self._cars = {int(lane): np.frombuffer(sums).copy() for lane, sums in cars}
+        self.mean = np.frombuffer(mean).copy()
+
+
+class EnergyRegressions:
+    """Hold the regression of each vehicle model, by its name."""
+
+    def __init__(self) -> None:
+        self._models: dict[str, ModelSums] = {}
+
+    def add(self, models: Sequence[str], rows: StretchRows, get_prior: Callable[[str], Prior]) -> None:
+        """Add rides and idle periods of cars of vehicle models, in their order."""
+        for name in dict.fromkeys(models):
+            if name not in self._models:
+                self._models[name] = ModelSums(get_prior(name).mean)
+            self._models[name].add(rows.rows(np.flatnonzero([model == name for model in models])))
+
+    def apply_daily_update(self, get_prior: Callable[[str], Prior]) -> None:
+        """Let the rows of the day take effect."""
+        for name, sums in self._models.items():
+            sums.apply_daily_update(get_prior(name))
+
+    def get_level(self, model: str) -> float:
+        """Return how much the level of a vehicle model has changed since its first tables, as a logarithm."""
+        return self._models[model].level if model in self._models else 0.0
+
+    def build_tables(self, model: str, prior: Prior) -> LegEnergyTables:
+        """Return the tables of a vehicle model, from physics alone where none of its rides is known."""
+        sums = self._models.get(model)
+        if sums is None:
+            return LegEnergyTables.create(prior.mean, np.diag(prior.sd**2.0), FIRST_MIX, 0.0)
+        return LegEnergyTables.create(*sums.solve(prior), sums.get_mix(), sums.level)
+
+    def dump(self) -> Any:
+        """Return the state as plain values, ordered by name; the order of appearance depends on the batches."""
+        return {name: each.dump() for name, each in sorted(self._models.items())}
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        self._models = {name: ModelSums(np.zeros(_SIZE)) for name in state}
+        for name, sums in self._models.items():
+            sums.load(state[name])
