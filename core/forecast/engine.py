@@ -115,11 +115,14 @@ class ForecastEngine:
         parts = sums.rides, sums.idle_periods, sums.running
         whole = join_totals(parts, sums.running)
         closed = len(sums.rides.lane) + len(sums.idle_periods.lane)
-        self.statistics.add_rides(sums.rides)
-        self.statistics.add_idle_periods(sums.idle_periods)
-        events, at = self._build_events(whole, closed, due.drivers)
+        events, at, order = self._build_events(whole, closed, due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
+        if closed:
+            begin = np.empty(len(events))
+            begin[order] = estimates["begin"]
+            self.statistics.add_rides(sums.rides, begin[: len(sums.rides.lane)])
+            self.statistics.add_idle_periods(sums.idle_periods, begin[len(sums.rides.lane) : closed])
         estimates = estimates.compress(events["kind"] == RUNNING)
 
         def get_tables(lane: int, at: int) -> LegEnergyTables | None:
@@ -163,19 +166,19 @@ class ForecastEngine:
 
     def _build_events(
         self, totals: Totals, closed: int, drivers: Sequence[DriverNamed]
-    ) -> tuple[NDArray[np.void], Ints]:
-        """Return the events of the filters in order, and the place of each; the first totals are closed ones."""
+    ) -> tuple[NDArray[np.void], Ints, Ints]:
+        """Return the events of the filters in order, the place of each, and its number before; closed totals first."""
         n = len(totals.lane)
         events = np.empty(n + len(drivers), FILTER_EVENT)
         self._fill_totals(totals, events[:n])
         events["kind"][:closed], events["kind"][closed:n] = CLOSED, RUNNING
         self._fill_drivers(drivers, events[n:])
         if n == len(events) and not closed:
-            return events, totals.at
+            return events, totals.at, np.arange(n)
         at = np.concatenate([totals.at, np.array([d.at for d in drivers], dtype=np.int64)])
         rank = np.repeat([1, 2, 0], [closed, n - closed, len(drivers)])
         order = np.lexsort((rank, at))
-        return events.take(order), at[order]
+        return events.take(order), at[order], order
 
     def _fill_totals(self, totals: Totals, out: NDArray[np.void]) -> None:
         """Write totals as events."""
@@ -185,7 +188,7 @@ class ForecastEngine:
         mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
         weights = compute_temperature_weights(mean_ambient)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
-        out["predicted"], out["level"], out["level_sd"] = self.statistics.predict_energies(totals, weights)
+        out["predicted"], out["warm_up"], out["level"], out["level_sd"] = self.statistics.predict_energies(totals, weights)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
@@ -251,7 +254,8 @@ class ForecastEngine:
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
             ambient = np.array([float(shift["warmth"] / shift["hours"])])
-            usual = self.statistics.compute_usual(np.array([kind]), compute_temperature_weights(ambient))
+            weights = compute_temperature_weights(ambient)
+            usual = self.statistics.compute_usual(np.array([kind]), weights, np.full(1, np.nan))
             hours = (float(shift["end"]) - float(shift["begin"])) / 3600.0
             predicted = float(shift["predicted"])
             driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None

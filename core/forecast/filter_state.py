@@ -91,6 +91,7 @@ FILTER_EVENT: Final = np.dtype(
         ("lane", "i8"),
         ("time", "f8"),  # [s]
         ("predicted", "f8"),  # energy predicted of the ride or idle period so far [kWh]
+        ("warm_up", "f8"),  # energy predicted of the whole warm-up of a shift [kWh]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("level_sd", "f8"),  # relative standard deviation of the energy of the usual mix [1]
         ("metered", "f8"),  # energy so far by voltage and current [kWh]

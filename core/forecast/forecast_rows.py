@@ -190,7 +190,7 @@ def compute_forecast_rows(
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
     patterns = statistics.get_patterns(running.lane)
     ahead_c = ambient - ZERO_CELSIUS
-    usual = statistics.compute_usual(kind, compute_temperature_weights(ambient))
+    usual = statistics.compute_usual(kind, compute_temperature_weights(ambient), time - estimates["begin"])
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])
     riding, charging_since = running.ride >= 0, find_charging_since(estimates, progress["came"])
     times = schedule_plan(progress, time, get_ride_km(running), riding, charging_since)

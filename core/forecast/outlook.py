@@ -123,6 +123,8 @@ class UsualConsumption(NamedTuple):
         Power of a car that waits. [kW]
     approach_energy : (n,) float
         Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
+    warm_up_energy : (n,) float
+        Energy that is left of the warm-up of the shift. [kWh]
     energy_per_km : (n,) float
         Energy of rides and idle periods over the kilometres of rides. [kWh/km]
     mean_power : (n,) float
@@ -138,6 +140,7 @@ class UsualConsumption(NamedTuple):
     weights: Floats
     standing_power: Floats
     approach_energy: Floats
+    warm_up_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
     driving_energy_per_km: Floats
@@ -222,7 +225,7 @@ def compute_planned_energy(
         for name in ("leg_kwh", "begun_kwh", "later_kwh")
     )
     approaches = progress["legs"] - riding * (progress["legs"] > 0.0) + has_charge  # the way to a charger is empty, too
-    idling = times.waiting * usual.standing_power + approaches * usual.approach_energy
+    idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.add_parts(parts)
@@ -262,7 +265,8 @@ def fill_from_history(
 ) -> EnergyAhead:
     """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan."""
     left = patterns["hours"] - elapsed / 3600.0
-    whole = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
+    whole = patterns["relative_power"] * usual.mean_power * left + usual.warm_up_energy
+    whole = np.where(left > 0.0, whole, np.nan)
     filled = np.isnan(ahead.energy) & np.isfinite(whole)
     return EnergyAhead(
         np.where(filled, whole, ahead.energy),

@@ -32,6 +32,7 @@ from socast.core.compiled_cache import watch_sources
 from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_reading
 from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
 from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
+from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
 from socast.core.forecast.soc_reading import (
     compute_jump_variance,
@@ -158,6 +159,10 @@ def update_with_totals(state: Any, event: Any) -> None:
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
     remember_totals(state, event)
     if duration > 0.0:
+        awake = event.time - state.begin
+        predicted += event.warm_up * (
+            exp(-max(awake - duration, 0.0) / WARM_UP_DECAY) - exp(-max(awake, 0.0) / WARM_UP_DECAY)
+        )
         state.ambient = warmth / duration
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0

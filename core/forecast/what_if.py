@@ -86,7 +86,8 @@ class CarOutlook:
         end = np.array([shift_end]) if np.isfinite(shift_end) else usual_end
         now = estimate["ambient"], np.array([self.time]), end
         ambient = engine.weather.expect_ambient(*now, statistics.daily_cycle)
-        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient))
+        awake_s = self.time - estimate["begin"]
+        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient), awake_s)
         self.tables = statistics.get_tables(lane)
         self.model_name = cars.name(int(kinds[0]))
         self.mean_pause = inf if self.tables is None else self.tables.mean_pause

@@ -2,7 +2,7 @@
 
 A stretch is a ride, an idle period or a leg of a plan. Its energy at an outside temperature is linear in its amounts:
 kilometres by pace, kilometres times the square of the mean speed, hours of driving and of waiting, metres climbed and
-descended, and the beginning of a ride. How much each amount takes depends on the temperature through few coefficients:
+descended, the beginning of a ride, and the share of the warm-up after the car woke that falls into it. How much each amount takes depends on the temperature through few coefficients:
 air and tyres in the cold, heating, and air conditioning. The coefficients are linear in the energy, too, so that a
 regression of measured energies finds them (`socast.core.forecast.learning.energy_regression`).
 
@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, replace_nan
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from socast.core.vehicles import ACCESSORIES, VehicleModel
 
@@ -28,6 +28,8 @@ CITY_PACE: Final = 2.4
 """Time per kilometre that is assumed of the kilometres of idle periods, of which only the sum is known. [min/km]"""
 REFERENCE_SPEED: Final = 50.0
 """Speed at which the term of the squared speed counts once. [km/h]"""
+WARM_UP_DECAY: Final = 900.0
+"""Time constant of the warm-up of cabin and battery after a car woke. [s]"""
 LEAST_KM: Final = 1e-9
 """A shorter distance is none; the time per kilometre would overflow. [km]"""
 
@@ -43,7 +45,9 @@ LOST: Final = FAST + 4
 """Place of the metres descended. [m]"""
 START: Final = FAST + 5
 """Place of the beginnings of rides. [1]"""
-STRETCH_AMOUNTS: Final = FAST + 6
+WARM_UP: Final = FAST + 6
+"""Place of the share of the warm-up of the shift. [1]"""
+STRETCH_AMOUNTS: Final = FAST + 7
 """Number of amounts of a stretch; the first are the kilometres at each of `PACES`."""
 
 DRIVING_SHARE: Final = 0.75
@@ -110,11 +114,19 @@ def _build_terms() -> tuple[tuple[str, ...], Floats]:
     add("gained", [GAINED])
     add("lost", [LOST])
     add("start", [START])
+    add("start_heating", [START], _HEATING)
+    add("warm_up", [WARM_UP])
+    add("warm_up_heating", [WARM_UP], _HEATING)
     return tuple(name for name, _ in terms), np.stack([term for _, term in terms], axis=-1)
 
 
 TERMS, EXPANSION = _build_terms()
 """Name of each term, and what an amount of a stretch contributes to it, (temperatures, amounts, terms) float."""
+
+
+def compute_warm_up_left(awake_s: Floats) -> Floats:
+    """Return the share of the warm-up that is left some time after a car woke; none where that is unknown. [1]"""
+    return replace_nan(np.exp(-np.maximum(awake_s, 0.0) / WARM_UP_DECAY), 0.0)
 
 
 def make_prior(model: VehicleModel, accessory_scale: float) -> Prior:
@@ -139,6 +151,9 @@ def make_prior(model: VehicleModel, accessory_scale: float) -> Prior:
         "gained": (climb, 0.3 * climb),
         "lost": (-RECOVERED_CLIMB * climb, 0.3 * climb),
         "start": (0.0, 0.05),
+        "start_heating": (0.0, 0.1 * accessory_scale),
+        "warm_up": (0.0, 0.15),
+        "warm_up_heating": (0.2 * accessory_scale, 0.3 * accessory_scale),
     }
     mean, sd = np.array([values[name] for name in TERMS]).T
     return Prior(mean, sd)

@@ -29,6 +29,7 @@ from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TERMS,
     WAITING,
+    WARM_UP,
     Prior,
     compute_amounts,
 )
@@ -160,8 +161,9 @@ class ModelSums:
         return covariance @ (self.known.get("right") + precision @ prior.mean), covariance
 
     def get_mix(self) -> UsualMix:
-        """Return the usual mix of rides and idle periods."""
+        """Return the usual mix of rides and idle periods, without the warm-up of their shifts."""
         rides, idle = FIRST_MIX.rides + self.known.get("rides"), FIRST_MIX.idle + self.known.get("idle")
+        rides[WARM_UP] = idle[WARM_UP] = 0.0
         return UsualMix(rides, idle, FIRST_MIX.idle_periods + float(self.known.get("counts")[1]))
 
     def dump(self) -> Any:

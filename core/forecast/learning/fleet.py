@@ -21,8 +21,10 @@ from socast.core.forecast.learning.daily_cycle import DailyCycle
 from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TEMPERATURES,
+    WARM_UP,
     Prior,
     compute_amounts,
+    compute_warm_up_left,
     make_prior,
     predict_energy,
 )
@@ -78,12 +80,14 @@ class StretchEnergies(NamedTuple):
 
     Parameters
     ----------
-    energy : [kWh]
+    energy : Energy without the warm-up of the shift. [kWh]
+    warm_up : Energy of the whole warm-up. [kWh]
     level : Level of the tables, see `LegEnergyTables`. [1]
     level_sd : Relative standard deviation of the energy of the usual mix. [1]
     """
 
     energy: Floats
+    warm_up: Floats
     level: Floats
     level_sd: Floats
 
@@ -118,22 +122,22 @@ class FleetStatistics:
             self.prior = grown(self.prior, lanes, prior)
             self._patterns = grown(self._patterns, lanes, np.array((np.nan, np.nan), SHIFT_PATTERN))
 
-    def add_rides(self, rides: Totals) -> None:
-        """Add rides that have ended, if they are representative."""
+    def add_rides(self, rides: Totals, begin: Floats) -> None:
+        """Add rides that have ended, if they are representative; `begin` is that of their shifts. [s]"""
         if len(rides.lane):
             fit = np.array([why in ACCEPTED_UNFITNESS for why in unfit_reason(rides, self._context)])
             plugged = rides.at_last("since_charge") - rides.amount("duration")
-            fit &= ~(rides.at_last("parked") > LONGEST_SOAK) & ~(plugged < WARM_UP_TIME)
-            self._add(rides, fit)
+            rested = (rides.at_last("parked") > LONGEST_SOAK) & (rides.at_first("time") - begin > WARM_UP_TIME)
+            self._add(rides, fit & ~rested & ~(plugged < WARM_UP_TIME), begin)
 
-    def add_idle_periods(self, idle: Totals) -> None:
+    def add_idle_periods(self, idle: Totals, begin: Floats) -> None:
         """Add idle periods that have ended, if the car neither charged nor fell silent."""
         if not len(idle.lane):
             return
         duration = idle.amount("duration")
         whole = idle.at_last("time") - idle.at_first("time") <= duration + LONGEST_GAP
         charged = idle.at_last("since_charge") < duration + LONGEST_GAP
-        self._add(idle, whole & ~charged & (idle.at_first("time") > 0.0))
+        self._add(idle, whole & ~charged & (idle.at_first("time") > 0.0), begin)
 
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""
@@ -182,11 +186,14 @@ class FleetStatistics:
         self._update_kinds()
         kinds, energy = totals.at_last("kind").astype(np.int64), np.empty(len(weights))
         predict_energy(_compute_amounts(totals), kinds, weights, self._rows.rates, energy)
-        level_sd = np.asarray(np.einsum("ij,ij->i", self._rows.level_sd[kinds], weights))
-        return StretchEnergies(energy, self._rows.level[kinds, 0], level_sd)
+        warm_up, level_sd = (
+            np.asarray(np.einsum("ij,ij->i", table[kinds], weights))
+            for table in (self._rows.warm_up_energy, self._rows.level_sd)
+        )
+        return StretchEnergies(energy, warm_up, self._rows.level[kinds, 0], level_sd)
 
-    def compute_usual(self, kinds: Ints, weights: Floats) -> UsualConsumption:
-        """Return the usual consumption of cars at the temperature of each row."""
+    def compute_usual(self, kinds: Ints, weights: Floats, awake_s: Floats) -> UsualConsumption:
+        """Return the usual consumption of cars at the temperature of each row, some time after they woke. [s]"""
         self._update_kinds()
 
         def interpolate(table: Floats) -> Floats:
@@ -196,6 +203,7 @@ class FleetStatistics:
             weights=weights,
             standing_power=interpolate(self._rows.standing_power),
             approach_energy=interpolate(self._rows.approach_energy),
+            warm_up_energy=interpolate(self._rows.warm_up_energy) * compute_warm_up_left(awake_s),
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
             driving_energy_per_km=interpolate(self._rows.driving_energy_per_km),
@@ -228,7 +236,7 @@ class FleetStatistics:
         assert model is not None
         return make_prior(model, float(self._cars.parameters_of(np.array([kind])).accessory_scale[0]))
 
-    def _add(self, totals: Totals, fit: NDArray[np.bool_]) -> None:
+    def _add(self, totals: Totals, fit: NDArray[np.bool_], begin: Floats) -> None:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
         measured = measure_energy(totals, self._cars)
         fit = fit & ~(np.abs(measured.energy) > compute_largest_energy(totals, self._cars))
@@ -237,10 +245,13 @@ class FleetStatistics:
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
         if len(which):
             kept = totals.rows(which)
+            amounts = _compute_amounts(kept)
+            left = [compute_warm_up_left(each - begin[which]) for each in (kept.at_first("time"), kept.at_last("time"))]
+            amounts[:, WARM_UP] = left[0] - left[1]
             rows = StretchRows(
                 kept.lane,
                 kept.ride >= 0,
-                _compute_amounts(kept),
+                amounts,
                 compute_temperature_weights(kept.amount("ambient") / kept.amount("duration")),
                 measured.energy[which],
                 measured.sd[which],
@@ -281,6 +292,7 @@ class _StackedTables(NamedTuple):
     rates: Floats
     standing_power: Floats
     approach_energy: Floats
+    warm_up_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
     driving_energy_per_km: Floats

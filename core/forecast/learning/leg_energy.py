@@ -24,6 +24,7 @@ from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TEMPERATURES,
     WAITING,
+    WARM_UP,
     compute_amounts,
     fill_ride_amounts,
 )
@@ -97,6 +98,11 @@ class LegEnergyTables(NamedTuple):
     def standing_power(self) -> Floats:
         """Power of a car that waits, (temperatures,). [kW]"""
         return np.asarray(self.rates[:, WAITING])
+
+    @property
+    def warm_up_energy(self) -> Floats:
+        """Energy of the whole warm-up after a car woke, (temperatures,). [kWh]"""
+        return np.asarray(self.rates[:, WARM_UP])
 
     @property
     def approach_energy(self) -> Floats:
