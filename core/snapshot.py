@@ -166,6 +166,7 @@ _STATISTICS: Final = Row(
         _CONFORMAL,
         Row(SUMS, _grid(2, HOURS)),
         Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), SUMS),
+        Row(SUMS, SUMS),
     ),
     Many(_SHIFT),
     Many(Row(LANE, PATTERN)),

@@ -31,7 +31,7 @@ from socast.core.forecast.filter_state import (
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST, ForecastRows, compute_forecast_rows
 from socast.core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
-from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
+from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord, Outcome
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.outlook import compute_temperature_weights, find_expected_end
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
@@ -235,10 +235,12 @@ class ForecastEngine:
                 self._close_shift(shifts[i], kinds.find(lane, place))
                 add_next(lane, place)
             elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i], rows.arrived[i]):
-                now, faulty, soc = float(time[i]), float(rows.faulty[i]), float(rows.reported_soc[i])
-                spoilt, arrived = float(np.fmax(rows.charged[i], faulty)), float(rows.arrived[i])
-                self.statistics.add_errors(self.log.evaluate_arrival(lane, arrived, float(rows.arrival_soc[i]), faulty))
-                self.statistics.add_errors(self.log.evaluate_until(lane, now, soc, spoilt, faulty))
+                now, arrived = float(time[i]), float(rows.arrived[i])
+                columns = rows.reported_soc, rows.charged, rows.faulty, rows.shift_kwh, rows.level
+                outcome = Outcome(*(float(column[i]) for column in columns))
+                at_charge = outcome._replace(soc=float(rows.arrival_soc[i]))
+                self.statistics.add_errors(self.log.evaluate_arrival(lane, arrived, at_charge))
+                self.statistics.add_errors(self.log.evaluate_until(lane, now, outcome))
                 has_charge = bool(np.isfinite(rows.raw_charge_soc[i]))
                 to_charge = _create_charge_record(now, rows, i) if has_charge else None
                 self.log.record(lane, _create_record(now, rows, i), to_charge)
@@ -248,8 +250,9 @@ class ForecastEngine:
         """Learn from a shift of a car of a kind that has ended."""
         lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
         self.closed.append(shift.copy())
-        faulty = float(shift["faulty"])
-        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), spoilt, faulty))
+        names = "last_soc", "charged", "faulty", "predicted", "level"
+        outcome = Outcome(*(float(shift[name]) for name in names))
+        self.statistics.add_errors(self.log.evaluate_shift(lane, outcome))
         capacity = float(self._cars.capacity[kind])
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
@@ -350,6 +353,10 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         sd=float(rows.raw_end_soc_sd[i]),
         lower=float(rows.soc_end_of_shift_p05[i]),
         upper=float(rows.soc_end_of_shift_p95[i]),
+        driving=nan if rows.basis[i] == OVER_CHARGE else float(rows.driving_kwh[i]),
+        waiting=nan if rows.basis[i] == OVER_CHARGE else float(rows.waiting_kwh[i]),
+        predicted=float(rows.shift_kwh[i]),
+        level=float(rows.level[i]),
     )
 
 
@@ -363,4 +370,6 @@ def _create_charge_record(time: float, rows: ForecastRows, i: int) -> ForecastRe
         sd=float(rows.raw_charge_soc_sd[i]),
         lower=float(rows.charge_soc_p05[i]),
         upper=float(rows.charge_soc_p95[i]),
+        driving=float(rows.driving_kwh[i]),
+        waiting=float(rows.waiting_kwh[i]),
     )

@@ -54,6 +54,8 @@ class ForecastRows(NamedTuple):
     reported_soc : Charge as reported last. [1]
     charged : When the car charged last within the shift. [s]
     faulty : When the reported charge was faulty last within the shift. [s]
+    driving_kwh, waiting_kwh : Planned energy until the next planned charge, or else the end of the shift. [kWh]
+    shift_kwh, level : Energy predicted of the shift so far [kWh], and the level of the tables [1].
     charge_time : When the next planned charge begins. [s]
     charge_km : Distance of rides until then. [km]
     charge_to : Planned charge after the last planned charge. [1]
@@ -91,6 +93,10 @@ class ForecastRows(NamedTuple):
     reported_soc: Floats
     charged: Floats
     faulty: Floats
+    driving_kwh: Floats
+    waiting_kwh: Floats
+    shift_kwh: Floats
+    level: Floats
     charge_time: Floats
     charge_km: Floats
     charge_to: Floats
@@ -229,6 +235,10 @@ def compute_forecast_rows(
         reported_soc=estimates["reported"],
         charged=estimates["charged"],
         faulty=estimates["faulty"],
+        driving_kwh=ahead.planned[:, 0],
+        waiting_kwh=ahead.planned[:, 1],
+        shift_kwh=estimates["predicted"],
+        level=estimates["level"],
         charge_time=soc.charge_time,
         charge_km=np.where(np.isfinite(soc.charge_time), ahead.km, np.nan),
         charge_to=np.where(soc.basis == OVER_CHARGE, progress["charge_to"], np.nan),

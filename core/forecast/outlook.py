@@ -45,8 +45,8 @@ class EnergyAhead(NamedTuple):
         [kWh]
     sd : (n,) float
         Standard deviation of the energy beside that of the level of the shift. [kWh]
-    waiting : (n,) float
-        Part of the energy that waiting takes, NaN without a plan. [kWh]
+    planned : (n, 2) float
+        Energy of driving and of waiting as planned, NaN without a plan. [kWh]
     km : (n,) float
         Distance of rides. [km]
     hours : (n,) float
@@ -61,7 +61,7 @@ class EnergyAhead(NamedTuple):
 
     energy: Floats
     sd: Floats
-    waiting: Floats
+    planned: Floats
     km: Floats
     hours: Floats
     end: Floats
@@ -135,6 +135,12 @@ class UsualConsumption(NamedTuple):
         Time per kilometre of rides. [min/km]
     covariance : (n, 2, 2) float
         Covariance of the relative energies of driving and of waiting beside that of the usual mix. [1]
+    plan_factor : (n, 2) float
+        Energy that is done over what is planned, of driving and of waiting. [1]
+    plan_covariance : (n, 2, 2) float
+        Covariance of both.
+    plan_spread : (n,) float
+        Variance of the energy that is done beside that of 1 kWh that is planned. [kWh^2/kWh]
     """
 
     weights: Floats
@@ -146,11 +152,28 @@ class UsualConsumption(NamedTuple):
     driving_energy_per_km: Floats
     ride_pace: Floats
     covariance: Floats
+    plan_factor: Floats
+    plan_covariance: Floats
+    plan_spread: Floats
 
-    def add_parts(self, parts: Floats) -> MeanAndSd:
-        """Return the energy of driving and waiting together, where `parts` are both, (n, 2). [kWh]"""
-        variance = np.einsum("np,npq,nq->n", parts, np.broadcast_to(self.covariance, (len(parts), 2, 2)), parts)
-        return MeanAndSd(parts.sum(axis=1), np.sqrt(np.maximum(variance, 0.0)))
+    def expect_plan(self, parts: Floats) -> MeanAndSd:
+        """Return the energy of what is done of a plan, where `parts` are driving and waiting as planned, (n, 2). [kWh]
+
+        With a consumption of one car, any number of plans may be asked for.
+        """
+        energy = (parts * self.plan_factor).sum(axis=1)
+        variance = _compute_form(self.covariance + self.plan_covariance, parts)
+        variance += self.plan_spread * np.maximum(energy, 0.0)
+        return MeanAndSd(energy, np.sqrt(np.maximum(variance, 0.0)))
+
+    def compute_driving_sd(self, driving: Floats) -> Floats:
+        """Return the standard deviation of an energy of driving beside that of the usual mix. [kWh]"""
+        return np.asarray(np.sqrt(np.maximum(self.covariance[:, 0, 0], 0.0)) * driving)
+
+
+def _compute_form(covariance: Floats, parts: Floats) -> Floats:
+    """Return the quadratic form of covariances, (n, 2, 2) or (1, 2, 2), and parts, (n, 2)."""
+    return np.asarray(np.einsum("np,npq,nq->n", parts, np.broadcast_to(covariance, (len(parts), 2, 2)), parts))
 
 
 class PlanTimes(NamedTuple):
@@ -228,13 +251,13 @@ def compute_planned_energy(
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
-    energy = usual.add_parts(parts)
+    energy = usual.expect_plan(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(
         np.where(known, energy.mean, np.nan),
         np.where(has_charge, np.hypot(energy.sd, timing_sd), energy.sd),
-        np.where(known, idling, np.nan),
+        np.where(known[:, np.newaxis], parts, np.nan),
         np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
         np.where(known, times.until, np.nan),
         np.where(known, times.end, np.nan),
@@ -271,7 +294,7 @@ def fill_from_history(
     return EnergyAhead(
         np.where(filled, whole, ahead.energy),
         np.where(filled, 0.0, ahead.sd),
-        np.where(filled, np.nan, ahead.waiting),
+        np.where(filled[:, np.newaxis], np.nan, ahead.planned),
         np.where(filled, whole / usual.energy_per_km, ahead.km),
         np.where(filled, left, ahead.hours),
         np.where(filled, now + 3600.0 * left, ahead.end),
@@ -310,8 +333,10 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
         factor = np.exp(estimate.compute_mean_log_factor(hours))
         energy = left * estimate.capacity / factor
     km = energy / per_km
-    driving = np.column_stack([km * usual.driving_energy_per_km, np.zeros(len(left))])
-    at_reserve = compute_end_soc(estimate, usual.add_parts(driving), km * usual.ride_pace / 60.0)
+    driving = km * per_km
+    at_reserve = compute_end_soc(
+        estimate, MeanAndSd(driving, usual.compute_driving_sd(driving)), km * usual.ride_pace / 60.0
+    )
     return DrivingRange(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
 
 

@@ -294,6 +294,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
+    out.predicted, out.level = state.predicted, state.level
     out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
     out.usual = state.usual + lasting * (out.log_factor - state.usual)

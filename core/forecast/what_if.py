@@ -159,7 +159,7 @@ class RouteAhead(NamedTuple):
         """Return the outlook of each leg."""
         is_charge = np.isfinite(self.legs.charge_to)
         legs = self._spread_time(now, way)
-        only = now.usual.add_parts(np.column_stack([legs.driving, np.zeros(len(is_charge))]))
+        only = now.usual.expect_plan(np.column_stack([legs.driving, np.zeros(len(is_charge))]))
         energy = now.compute_leg_intervals(self.legs, only, legs.basis).list_intervals()
         stretch, out = np.cumsum(is_charge), []
         for number in range(int(is_charge.sum()) + 1):
@@ -203,7 +203,7 @@ class RouteAhead(NamedTuple):
         if number == len(charges) and soc.charged is not None:
             begin = soc.charged
         parts = np.cumsum(np.column_stack([legs.driving, legs.idling])[rows], axis=0)
-        spent = now.usual.add_parts(parts)
+        spent = now.usual.expect_plan(parts)
         timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(legs.pause[rows] ** 2))
         until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
         levels = ChargeColumns.from_forecast(
@@ -301,7 +301,8 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
 
 def _compute_waiting_energy(now: CarOutlook, ahead: EnergyAhead) -> float | None:
     """Return what the car takes of the energy ahead by plan while it drives no leg. [kWh]"""
-    return _none_if_unknown(float((ahead.waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours)))[0]))
+    waiting = ahead.planned[:, 1] * now.usual.plan_factor[:, 1]
+    return _none_if_unknown(float((waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours)))[0]))
 
 
 def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:

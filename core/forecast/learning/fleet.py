@@ -31,6 +31,7 @@ from socast.core.forecast.learning.consumption_terms import (
 from socast.core.forecast.learning.energy_regression import EnergyRegressions, StretchRows
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
+from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals
@@ -106,7 +107,7 @@ class FleetStatistics:
     def __init__(self, context: RunContext) -> None:
         self._context, self._cars = context, context.cars
         self.energies, self.factors, self.conformal = EnergyRegressions(), ConsumptionFactors(), ConformalIntervals()
-        self.daily_cycle, self.charged_soc = DailyCycle(), ChargedSoc()
+        self.daily_cycle, self.charged_soc, self.plan_outcomes = DailyCycle(), ChargedSoc(), PlanOutcomes()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
@@ -142,6 +143,9 @@ class FleetStatistics:
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""
         for each in errors:
+            self.plan_outcomes.add_shift(each.driving, each.waiting, each.done)
+            if not len(each.scores):
+                continue
             self.conformal.add_shift(each.basis, each.ahead_km, each.ahead_c, each.scores)
             if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
                 self.daily_cycle.add_shift(each.time, each.ambient_c)
@@ -170,6 +174,7 @@ class FleetStatistics:
         self.conformal.apply_daily_update()
         self.daily_cycle.apply_daily_update()
         self.charged_soc.apply_daily_update()
+        self.plan_outcomes.apply_daily_update()
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
@@ -199,6 +204,8 @@ class FleetStatistics:
         def interpolate(table: Floats) -> Floats:
             return np.asarray(np.einsum("ij,ij->i", table[kinds], weights))
 
+        plans, n = self.plan_outcomes, len(kinds)
+
         return UsualConsumption(
             weights=weights,
             standing_power=interpolate(self._rows.standing_power),
@@ -209,6 +216,9 @@ class FleetStatistics:
             driving_energy_per_km=interpolate(self._rows.driving_energy_per_km),
             ride_pace=self._rows.ride_pace[kinds, 0],
             covariance=np.asarray(np.einsum("nk,nkpq->npq", weights, self._rows.parts_covariance[kinds])),
+            plan_factor=np.broadcast_to(plans.factor, (n, 2)),
+            plan_covariance=np.broadcast_to(plans.covariance, (n, 2, 2)),
+            plan_spread=np.full(n, plans.spread),
         )
 
     def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
@@ -266,18 +276,19 @@ class FleetStatistics:
     def dump(self) -> Any:
         """Return the state as plain values."""
         learning = self.energies, self.factors, self.conformal
-        parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc)]
+        parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc, self.plan_outcomes)]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
         return parts, self._shifts, self._new_patterns, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (energies, factors, conformal, daily_cycle, charged), shifts, new, prior, patterns, outcomes = state
+        (energies, factors, conformal, daily_cycle, charged, plans), shifts, new, prior, patterns, outcomes = state
         self.energies.load(energies)
         self.factors.load(factors)
         self.conformal.load(conformal)
         self.daily_cycle.load(daily_cycle)
         self.charged_soc.load(charged)
+        self.plan_outcomes.load(plans)
         self._tables = []
         self._shifts = [ShiftEnergy(*each) for each in shifts]
         self._new_patterns = [(lane, ShiftPattern(*pattern)) for lane, pattern in new]

@@ -42,6 +42,10 @@ class ForecastRecord(NamedTuple):
         Forecast charge and its standard deviation. [1]
     lower, upper : float
         Bounds of the published charge, NaN without an interval. [1]
+    driving, waiting : float
+        Planned energy until then, NaN without a plan and with `OVER_CHARGE`. [kWh]
+    predicted, level : float
+        Energy predicted of the shift so far [kWh], and the level of the tables, see `LegEnergyTables` [1].
     """
 
     time: float
@@ -54,11 +58,35 @@ class ForecastRecord(NamedTuple):
     sd: float
     lower: float = nan
     upper: float = nan
+    driving: float = nan
+    waiting: float = nan
+    predicted: float = nan
+    level: float = nan
 
 
 FORECAST_RECORDS: Final = np.dtype([(name, "f8") for name in ForecastRecord._fields])
 """Recorded forecasts as an array."""
 _PACKED: Final = Struct(f"{len(ForecastRecord._fields)}d")
+
+
+class Outcome(NamedTuple):
+    """Hold what became of the forecasts of a shift.
+
+    Parameters
+    ----------
+    soc : float
+        Charge as reported last. [1]
+    charged, faulty : float
+        When the car charged last, and when its reading was faulty last, NaN for never. [s]
+    predicted, level : float
+        Energy predicted of the shift until then [kWh], and the level of the tables, see `LegEnergyTables` [1].
+    """
+
+    soc: float
+    charged: float = nan
+    faulty: float = nan
+    predicted: float = nan
+    level: float = nan
 
 
 class ShiftErrors(NamedTuple):
@@ -73,6 +101,8 @@ class ShiftErrors(NamedTuple):
         Standardised errors. [1]
     outcomes : (3,) int
         Numbers of forecasts with the outcome below, inside and above the published interval.
+    driving, waiting, done : (n,) float
+        Planned energy of driving and of waiting, and the energy of what was done, by the tables. [kWh]
     """
 
     basis: int
@@ -82,6 +112,9 @@ class ShiftErrors(NamedTuple):
     ahead_c: Floats
     scores: Floats
     outcomes: Ints
+    driving: Floats
+    waiting: Floats
+    done: Floats
 
 
 class ForecastLog:
@@ -124,15 +157,13 @@ class ForecastLog:
             self._next[lane] = min(following, last) if last > forecast.time else following
             self._ends[lane] = min(self._ends[lane], forecast.end)
 
-    def evaluate_arrival(self, lane: int, arrived: float, soc: float, faulty: float) -> list[ShiftErrors]:
+    def evaluate_arrival(self, lane: int, arrived: float, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for the charge that a car came to, and drop them from the log.
 
         Parameters
         ----------
         arrived : float
             When it came there, NaN for never. [s]
-        faulty : float
-            When its reading was faulty last, NaN for never. [s]
         """
         if not arrived >= self._before_charge[lane]:
             return []
@@ -141,32 +172,24 @@ class ForecastLog:
         self._records[lane] = bytearray(records[~of_charge].tobytes())
         later = records[~of_charge & (records["basis"] == TO_CHARGE)]
         self._before_charge[lane] = later["time"].min(initial=np.inf)
-        return compute_shift_errors(records[of_charge], soc, faulty)
+        return compute_shift_errors(records[of_charge], outcome._replace(charged=nan))
 
-    def evaluate_until(
-        self, lane: int, time: float, soc: float, spoilt: float, faulty: float = nan
-    ) -> list[ShiftErrors]:
-        """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log.
-
-        Parameters
-        ----------
-        spoilt : float
-            When the car charged last, or its reading was faulty last, NaN for never. [s]
-        """
+    def evaluate_until(self, lane: int, time: float, outcome: Outcome) -> list[ShiftErrors]:
+        """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log."""
         if not time >= self._ends[lane]:
             return []
         records = self.get_records(lane)
         left = records[records["end"] > time]
         self._records[lane] = bytearray(left.tobytes())
         self._ends[lane] = left["end"].min(initial=np.inf)
-        return compute_shift_errors(records[records["end"] <= time], soc, spoilt, faulty)
+        return compute_shift_errors(records[records["end"] <= time], outcome)
 
-    def evaluate_shift(self, lane: int, soc: float, spoilt: float, faulty: float = nan) -> list[ShiftErrors]:
+    def evaluate_shift(self, lane: int, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of all forecasts of a shift that is over."""
         records = self.get_records(lane)
         self._records.pop(lane, None)
         self._next[lane], self._ends[lane], self._before_charge[lane] = 0.0, np.inf, np.inf
-        return compute_shift_errors(records[records["basis"] != TO_CHARGE], soc, spoilt, faulty)
+        return compute_shift_errors(records[records["basis"] != TO_CHARGE], outcome)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
@@ -190,33 +213,32 @@ class ForecastLog:
         self._next, self._ends, self._before_charge = (np.frombuffer(each).copy() for each in times)
 
 
-def compute_shift_errors(
-    records: NDArray[np.void], soc: float, spoilt: float, faulty: float = nan
-) -> list[ShiftErrors]:
+def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[ShiftErrors]:
     """Return the errors of forecasts by basis, without those before a charging or a fault, or below an empty battery.
 
-    Parameters
-    ----------
-    spoilt : float
-        When the car charged last, or its reading was faulty last, NaN for never. [s]
+    What was done of a plan is known nevertheless, unless the car charged unplanned.
     """
-    if not np.isfinite(soc):
-        return []
-    last = np.where(records["basis"] == OVER_CHARGE, faulty, spoilt)
-    usable = records[~(last >= records["time"]) & (records["mean"] >= 0.0)]
+    soc = outcome.soc
+    last = np.where(records["basis"] == OVER_CHARGE, outcome.faulty, np.fmax(outcome.charged, outcome.faulty))
+    usable = ~(last >= records["time"]) & (records["mean"] >= 0.0) & np.isfinite(soc)
     out = []
-    for basis in np.unique(usable["basis"]):
-        of_basis = usable[usable["basis"] == basis]
-        scores = (soc - of_basis["mean"]) / of_basis["sd"]
+    for basis in np.unique(records["basis"]):
+        of_basis, known = records[records["basis"] == basis], usable[records["basis"] == basis]
+        judged = of_basis[known]
+        done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
+        done[outcome.charged >= of_basis["time"]] = np.nan
         out.append(
             ShiftErrors(
                 int(basis),
-                of_basis["time"],
-                of_basis["ahead_km"],
-                of_basis["ambient_c"],
-                of_basis["ahead_c"],
-                scores,
-                count_outcomes(of_basis["lower"], of_basis["upper"], soc),
+                judged["time"],
+                judged["ahead_km"],
+                judged["ambient_c"],
+                judged["ahead_c"],
+                (soc - judged["mean"]) / judged["sd"],
+                count_outcomes(judged["lower"], judged["upper"], soc),
+                of_basis["driving"],
+                of_basis["waiting"],
+                done,
             )
         )
     return out
