@@ -279,6 +279,7 @@ class ForecastEngine:
         """Let the statistics of the day take effect, and forget the weather forecasts for times before midnight [s]."""
         self.statistics.apply_daily_update()
         self.weather.forget_before(midnight)
+        self.plans.renew_energies(midnight, self.statistics.get_tables)
 
     def finish(self, *, interrupted: bool = False) -> None:
         """Close every shift in progress at the end of the stream.

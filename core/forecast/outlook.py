@@ -24,6 +24,8 @@ from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 
 PLAN_LEAD: Final = 600.0
 """A plan applies to samples from this time before it was sent. [s]"""
+GRACE: Final = 900.0
+"""Time after the end of a plan in which rides that are late are still driven. [s]"""
 OVERTIME: Final = 1800.0
 """A plan applies until this time after its end. [s]"""
 FACTOR_DECAY_TIME: Final = 3.0
@@ -183,6 +185,7 @@ class PlanTimes(NamedTuple):
     ----------
     end : When the shift ends. [s]
     left : Share of the next leg that is left. [1]
+    kept : Share of the rides not begun for which there is time until the end; 1 in plans with charges. [1]
     pause : Mean wait before a leg, in plans with charges. [h]
     waits : Number of these waits until the next planned charge. [1]
     waiting : Waits until the next planned charge, or else the end of the shift. [h]
@@ -193,6 +196,7 @@ class PlanTimes(NamedTuple):
 
     end: Floats
     left: Floats
+    kept: Floats
     pause: Floats
     waits: Floats
     waiting: Floats
@@ -211,7 +215,8 @@ def schedule_plan(
     """Return how the rest of a shift is spent by plan.
 
     A plan does not state when a leg begins. Without charges, what matters is the time that remains for waiting. With
-    charges it is spread evenly before the rides and charges.
+    charges it is spread evenly before the rides and charges. Rides that have not begun, and for which there is no time
+    left, will not come: their passengers did not, or another car took them.
 
     Parameters
     ----------
@@ -219,13 +224,18 @@ def schedule_plan(
         When a car that stands at a charger came there, NaN for others. [s]
     """
     left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
-    driving = left * progress["leg_s"] + progress["later_s"]
+    begun = riding * left * progress["leg_s"]
+    pending = ~riding * progress["leg_s"] + progress["later_s"]
+    room = np.maximum(progress["end"] + GRACE - time - begun, 0.0)
+    in_time = np.divide(room, pending, out=np.ones(len(time)), where=pending > room)
+    kept = np.where(progress["charges"] > 0.0, 1.0, in_time)
+    driving = begun + kept * pending
     charging = np.maximum(progress["charge_s"] - replace_nan(time - charging_since, 0.0), 0.0)
     middle = charging + progress["between_s"]  # 0 without charges, like all that follows a charge
     end = np.maximum(progress["end"], time + (driving + (middle + progress["after_s"])))
     hours = (end - time) / 3600.0
     spare = np.maximum(hours - (driving + (middle + progress["after_s"])) / 3600.0, 0.0)
-    approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
+    approaches = kept * (progress["legs"] - riding * (progress["legs"] > 0.0))
     has_charge = progress["charges"] > 0.0
     waits = approaches + (has_charge & np.isnan(charging_since))
     between = progress["between_legs"] + np.maximum(progress["charges"] - 1.0, 0.0)
@@ -235,21 +245,21 @@ def schedule_plan(
     until = np.where(has_charge, driving / 3600.0 + waiting, hours)
     waiting_after = np.where(number > 0.0, progress["after_legs"] * pause, spare)
     after = progress["after_s"] / 3600.0 + waiting_after
-    return PlanTimes(end, left, pause, waits, waiting, until, after, waiting_after)
+    return PlanTimes(end, left, kept, pause, waits, waiting, until, after, waiting_after)
 
 
 def compute_planned_energy(
     progress: NDArray[np.void], times: PlanTimes, time: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
 ) -> EnergyAhead:
     """Return the energy ahead by plan, until the next planned charge, or else the end of the shift."""
-    left, has_charge = times.left, progress["charges"] > 0.0
+    left, kept, has_charge = times.left, times.kept, progress["charges"] > 0.0
     whole, begun, later = (
         np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
         for name in ("leg_kwh", "begun_kwh", "later_kwh")
     )
-    approaches = progress["legs"] - riding * (progress["legs"] > 0.0) + has_charge  # the way to a charger is empty, too
+    approaches = kept * (progress["legs"] - riding * (progress["legs"] > 0.0)) + has_charge  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
-    parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
+    parts = np.column_stack([np.where(riding, left * begun, kept * whole) + kept * later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.expect_plan(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
@@ -258,7 +268,7 @@ def compute_planned_energy(
         np.where(known, energy.mean, np.nan),
         np.where(has_charge, np.hypot(energy.sd, timing_sd), energy.sd),
         np.where(known[:, np.newaxis], parts, np.nan),
-        np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
+        np.where(known, np.where(riding, left, kept) * progress["leg_km"] + kept * progress["later_km"], np.nan),
         np.where(known, times.until, np.nan),
         np.where(known, times.end, np.nan),
         np.where(known, progress["reserve"], np.nan),

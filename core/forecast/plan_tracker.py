@@ -177,6 +177,13 @@ class PlanTracker:
         self._ride_km[now], self._riding[now] = km[~over], running.ride[~over] >= 0
         return out
 
+    def renew_energies(self, time: float, get_tables: Callable[[int], LegEnergyTables | None]) -> None:
+        """Compute the energies of plans whose shifts are not over at a time anew, by the tables of each lane."""
+        for lane, active in self.plans.items():
+            if active.plan.shift_end_s + OVERTIME >= time:
+                self.plans[lane] = active._replace(legs=None)
+                self.progress[lane] = self._compute_progress(lane, get_tables(lane))
+
     def get_remaining_legs(
         self, lane: int, time: float, given: Plan | None = None, tables: LegEnergyTables | None = None
     ) -> PlannedLegs | None:
