@@ -41,6 +41,14 @@ GetTables = Callable[[int, int], LegEnergyTables | None]
 """Returns the tables of the vehicle model that the car of a lane had at a place in the batch."""
 
 
+LIKE_LEG: Final = 0.3, 0.6
+"""Relative difference of distance and of duration up to which a ride may be the next leg. [1]"""
+SAME_LEG: Final = 0.1, 0.25
+"""The same for a later leg. [1]"""
+MOST_SKIPPED: Final = 2
+"""Largest number of legs that are left out one after another."""
+
+
 class PlanArrival(NamedTuple):
     """Hold a plan that arrived for a lane at the place `at` in the batch."""
 
@@ -78,6 +86,18 @@ class ActivePlan(NamedTuple):
         """Return the charge after each planned charge that is left. [1]"""
         planned = [leg.charge_to_soc_pct / 100.0 for leg in self.plan.legs if leg.charge_to_soc_pct is not None]
         return planned[self.charged :]
+
+    def count_done(self, km: float, seconds: float) -> int:
+        """Return how many legs are done with a ride: those before it as well, whose passengers did not come.
+
+        It is a later leg only if it is as long as that one, and not as long as the next one.
+        """
+        rides = [leg for leg in self.plan.legs if leg.charge_to_soc_pct is None][self.done :]
+        for skipped, leg in enumerate(rides[: MOST_SKIPPED + 1]):
+            play = SAME_LEG if skipped else LIKE_LEG
+            if _differ_by(leg.distance_km or 0.0, km) < play[0] and _differ_by(leg.duration_s, seconds) < play[1]:
+                return skipped + 1
+        return 1
 
     def is_over(self, time: float) -> bool:
         """Return whether its shift is over at a time, with overtime while legs are left. [s]"""
@@ -146,7 +166,8 @@ class PlanTracker:
         self._planned = grown(self._planned, lanes)
         out = self.progress.take(running.lane)  # `take` and `put` copy records ten times as fast as an index
         km, time = get_ride_km(running), running.at_last("time")
-        ended_km, ended_time = rides.amount("distance") * 1e-3, rides.at_last("time")
+        ended_km, ended_s = rides.amount("distance") * 1e-3, rides.amount("duration")
+        ended_time = rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
         charged = estimates["arrived"] > self._arrived[running.lane]
         charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
@@ -161,7 +182,7 @@ class PlanTracker:
             before = int(np.searchsorted(running.at[rows], at))
             if kind == _RIDE_ENDED:
                 over[rows[:before]] = True
-                self._end_ride(lane, float(ended_km[i]), float(ended_time[i]))
+                self._end_ride(lane, float(ended_km[i]), float(ended_s[i]), float(ended_time[i]))
             elif kind == _PLAN_CAME or begins:
                 rides_on = before > 0 and not over[rows[before - 1]]
                 driven = float(km[rows[before - 1]] if rides_on else self._ride_km[lane])
@@ -244,13 +265,14 @@ class PlanTracker:
             return False
         return plan.shift_end_s > active.plan.shift_end_s + PROLONGATION
 
-    def _end_ride(self, lane: int, km: float, time: float) -> None:
+    def _end_ride(self, lane: int, km: float, seconds: float, time: float) -> None:
         """Count a leg as done when its ride has ended, unless the plan was sent as the ride ended."""
         self._ride_km[lane], self._riding[lane] = 0.0, False
         active = self.plans.get(lane)
         if active is not None:
-            done = km >= SHORTEST_RIDE and time - active.plan.time_s >= PLAN_LAG
-            self.plans[lane] = active._replace(done=active.done + done, driven_km=0.0)
+            is_done = km >= SHORTEST_RIDE and time - active.plan.time_s >= PLAN_LAG
+            done = active.done + (active.count_done(km, seconds) if is_done else 0)
+            self.plans[lane] = active._replace(done=done, driven_km=0.0)
 
     def _follow_charge(self, lane: int, estimate: NDArray[np.void]) -> bool:
         """Note what is planned as a car comes to charge, and what it reached as it departs, which ends the leg.
@@ -318,6 +340,11 @@ class PlanTracker:
             self.plans[int(lane)] = ActivePlan(plan, done, driven_km, legs, charged)
         self.later = {int(lane): msgspec.convert(raw, Plan) for lane, raw in later}
         self._waiting = np.isin(np.arange(len(self._riding)), list(self.later))
+
+
+def _differ_by(planned: float, driven: float) -> float:
+    """Return by how much a quantity of a ride differs from the planned one. [1]"""
+    return abs(driven - planned) / max(planned, 1e-9)
 
 
 def get_ride_km(running: Totals) -> Floats:
