@@ -126,7 +126,7 @@ FACTOR: Final = Row(REAL, REAL)
 """Mean and variance of the logarithm of a consumption factor."""
 PATTERN: Final = Row(REAL, REAL)
 """Duration and intensity of a shift."""
-_SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), REAL)
+_SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), REAL, REAL)
 _ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
@@ -162,6 +162,7 @@ _STATISTICS: Final = Row(
             Many(Row(LANE, FACTOR)),
             Many(Row(COUNT, FACTOR)),
             Many(Row(LANE, Many(Row(REAL, REAL)))),
+            FACTOR,
         ),
         _CONFORMAL,
         Row(SUMS, _grid(2, HOURS)),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_lanes
-from socast.core.columns import JOULES_PER_KWH
+from socast.core.columns import JOULES_PER_KWH, ZERO_CELSIUS
 from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.filter_state import (
     CLOSED,
@@ -187,6 +187,7 @@ class ForecastEngine:
         kind = totals.at_last("kind").astype(np.int64)
         mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
         weights = compute_temperature_weights(mean_ambient)
+        out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
         out["predicted"], out["warm_up"], out["level"], out["level_sd"] = self.statistics.predict_energies(totals, weights)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
@@ -250,7 +251,7 @@ class ForecastEngine:
         """Learn from a shift of a car of a kind that has ended."""
         lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
         self.closed.append(shift.copy())
-        names = "last_soc", "charged", "faulty", "predicted", "level"
+        names = "last_soc", "charged", "faulty", "awake_predicted", "level"
         outcome = Outcome(*(float(shift[name]) for name in names))
         self.statistics.add_errors(self.log.evaluate_shift(lane, outcome))
         capacity = float(self._cars.capacity[kind])
@@ -272,6 +273,7 @@ class ForecastEngine:
                 capacity_kwh=capacity,
                 model=self._cars.name(kind) or "",
                 level=float(shift["level"]),
+                ambient_c=float(ambient[0]) - ZERO_CELSIUS,
             )
             self.statistics.add_shift(energy, pattern)
 

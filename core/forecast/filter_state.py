@@ -59,7 +59,8 @@ FILTER_STATE: Final = np.dtype(
         ("distance", "f8"),  # driven in the shift [m]
         ("ride_distance", "f8"),  # driven in the shift on rides [m]
         ("hours", "f8"),  # awake in the shift [h]
-        ("predicted", "f8"),  # energy predicted of the shift [kWh]
+        ("predicted", "f8"),  # energy predicted of the shift since the car departed [kWh]
+        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
@@ -73,7 +74,7 @@ FILTER_STATE: Final = np.dtype(
         ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
         ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
         ("usual_variance", "f8"),  # variance of that expectation
-        ("level_sd", "f8"),  # standard deviation of the level of the tables, part of that variance [1]
+        ("level_sd", "f8"),  # standard deviation of the level of the tables, part of that variance, NaN unknown [1]
         ("driver", "f8"),  # code of the driver, -1 while unknown
         ("driver_mean", "f8"),  # mean of the driver's part of `a`
         ("driver_variance", "f8"),  # variance of the driver's part
@@ -94,6 +95,7 @@ FILTER_EVENT: Final = np.dtype(
         ("warm_up", "f8"),  # energy predicted of the whole warm-up of a shift [kWh]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("level_sd", "f8"),  # relative standard deviation of the energy of the usual mix [1]
+        ("cold_loss", "f8"),  # logarithm of the capacity that the battery lacks at the outside temperature [1]
         ("metered", "f8"),  # energy so far by voltage and current [kWh]
         ("meter_time", "f8"),  # time for which that is known [s]
         ("duration", "f8"),  # so far [s]
@@ -125,7 +127,7 @@ SOC_ESTIMATE: Final = np.dtype(
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("reported", "f8"),  # last accepted reading in the shift [1]
-        ("predicted", "f8"),  # energy predicted of the shift so far [kWh]
+        ("predicted", "f8"),  # energy predicted since it woke [kWh]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("begin", "f8"),  # of the shift [s]
         ("begin_soc", "f8"),  # [1]
@@ -153,7 +155,8 @@ CLOSED_SHIFT: Final = np.dtype(
         ("distance", "f8"),  # [m]
         ("ride_distance", "f8"),  # [m]
         ("hours", "f8"),  # awake [h]
-        ("predicted", "f8"),  # [kWh]
+        ("predicted", "f8"),  # energy predicted since the car departed [kWh]
+        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
         ("warmth", "f8"),  # [K h]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging, NaN for none [s]

@@ -55,7 +55,7 @@ class ForecastRows(NamedTuple):
     charged : When the car charged last within the shift. [s]
     faulty : When the reported charge was faulty last within the shift. [s]
     driving_kwh, waiting_kwh : Planned energy until the next planned charge, or else the end of the shift. [kWh]
-    shift_kwh, level : Energy predicted of the shift so far [kWh], and the level of the tables [1].
+    shift_kwh, level : Energy predicted since the car woke [kWh], and the level of the tables [1].
     charge_time : When the next planned charge begins. [s]
     charge_km : Distance of rides until then. [km]
     charge_to : Planned charge after the last planned charge. [1]
@@ -211,7 +211,7 @@ def compute_forecast_rows(
     return ForecastRows(
         predicted=predicted,
         soc=estimate.soc,
-        soc_sd=np.sqrt(np.maximum(estimate.variance, READING_SD**2)),
+        soc_sd=np.where(np.isnan(estimate.soc), np.nan, np.sqrt(np.maximum(estimate.variance, READING_SD**2))),
         soc_end_of_shift=soc.end.mean,
         soc_end_of_shift_p05=soc.end.p05,
         soc_end_of_shift_p95=soc.end.p95,

@@ -80,8 +80,9 @@ def update_with_driver(state: Any, wandered: float) -> None:
     The measurement of `a - c` has the precision that the driver's identity adds to the prior of the shift.
     """
     variance = state.usual_variance + state.next_driver_variance - state.driver_variance
-    if variance < state.usual_variance:
-        noise = 1.0 / (1.0 / variance - 1.0 / state.usual_variance)
+    added = 1.0 / variance - 1.0 / state.usual_variance
+    if added > 0.0:
+        noise = 1.0 / added
         measured = noise * ((state.usual + state.next_driver_mean) / variance - state.usual / state.usual_variance)
         total = state.p_aa + state.p_cc - 2.0 * state.p_ac + noise + wandered
         update_state(

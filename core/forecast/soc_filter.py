@@ -111,16 +111,26 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.warmth = 0.0
-    state.predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
+    state.predicted = state.awake_predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity = state.log_capacity
-    state.level, state.level_sd = event.level, 0.0 if isnan(event.level_sd) else event.level_sd
-    state.usual, state.usual_variance = prior.mean, prior.variance + state.level_sd**2
+    state.level, state.level_sd = event.level, nan
+    state.usual, state.usual_variance = prior.mean, prior.variance
     state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
     state.p_sa, state.p_ac = state.p_sc, state.p_cc
+
+
+@njit(cache=False)
+def add_temperature(state: Any, event: Any) -> None:
+    """Add to the prior of a shift what its temperature adds, once that is known: uncertain tables, and less capacity."""
+    state.level_sd = event.level_sd
+    state.usual += event.cold_loss
+    state.log_consumption += event.cold_loss
+    state.usual_variance += event.level_sd**2
+    state.p_aa += event.level_sd**2
 
 
 @njit(cache=False)
@@ -131,6 +141,7 @@ def follow_level(state: Any, event: Any) -> None:
             change = event.level - state.level
             state.log_consumption = clip(state.log_consumption - change, LARGEST_LOG_CONSUMPTION)
             state.predicted *= exp(change)
+            state.awake_predicted *= exp(change)
             state.compared_predicted *= exp(change)
             if event.duration > 0.0:  # of the ride so far, as the new tables predict it
                 state.seen_predicted = event.predicted * min(state.seen_time / event.duration, 1.0)
@@ -144,7 +155,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
-    row.level = state.level
+    row.awake_predicted, row.level = state.awake_predicted, state.level
     row.charged, row.faulty = state.charged, state.faulty
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
@@ -159,11 +170,14 @@ def update_with_totals(state: Any, event: Any) -> None:
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
     remember_totals(state, event)
     if duration > 0.0:
+        if isnan(state.level_sd) and not isnan(event.level_sd):
+            add_temperature(state, event)
         awake = event.time - state.begin
         predicted += event.warm_up * (
             exp(-max(awake - duration, 0.0) / WARM_UP_DECAY) - exp(-max(awake, 0.0) / WARM_UP_DECAY)
         )
         state.ambient = warmth / duration
+        state.awake_predicted += 0.0 if isnan(predicted) else predicted
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0
@@ -294,7 +308,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
-    out.predicted, out.level = state.predicted, state.level
+    out.predicted, out.level = state.awake_predicted, state.level
     out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
     out.usual = state.usual + lasting * (out.log_factor - state.usual)

@@ -281,7 +281,7 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
         time_s=now.time,
         model=engine.context.model_label,
         soc_pct=_none_if_unknown(100.0 * float(now.estimate.soc[0])),
-        soc_sd_pct=_none_if_unknown(100.0 * max(float(np.sqrt(now.estimate.variance[0])), READING_SD)),
+        soc_sd_pct=None if np.isnan(now.estimate.soc[0]) else _none_if_unknown(100.0 * max(float(np.sqrt(now.estimate.variance[0])), READING_SD)),
         usable_capacity_kwh=_none_if_unknown(capacity),
         usable_capacity_sd_kwh=_none_if_unknown(capacity_sd),
         consumption_scale=_none_if_unknown(float(np.exp(now.state["log_consumption"]))),

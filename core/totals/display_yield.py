@@ -9,7 +9,9 @@ energy E, by voltage and current, lowers g by k E. The usable capacity is 1/k. I
 
     s_1 - s_2 = k E - b D + noise,    D = (s_1^2 - s_1) - (s_2^2 - s_2),
 
-k and b are linear, and the noise is that of the display, because voltage times current is far more precise. The
+k and b are linear, and the noise is that of the display, because voltage times current is far more precise. The bend
+is D = (s_1 - s_2) (s_1 + s_2 - 1). Its first factor has the same noise as the fall, which would bias b, so that of the
+energy takes its place: D = k E (s_1 + s_2 - 1) with the k so far. The
 standard deviation of the noise is one of `READING_SDS`. For each of them, every ride updates k and b by Bayesian linear
 regression in information form, and its probability. The yield is the mean of this mixture. The weight of a ride
 decreases with its age, and with its residual beyond `OUTLIER_SDS` (Huber).
@@ -295,10 +297,10 @@ class DisplayYields:
         """Learn from rides whose meters are known and healthy; return where they contradict each other."""
         energy, sd = measure_by_power(rides, self._cars)
         first, last = rides.at_first("soc"), rides.at_last("soc")
-        fall, bend = first - last, (first**2 - first) - (last**2 - last)
         known = self._lanes[rides.lane]
         each = self._infer(known, rides.at_last("kind").astype(np.int64))
         mean = (each.k * each.probability).sum(axis=1)
+        fall, bend = first - last, mean * energy * (first + last - 1.0)
         of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
         of_ride += (RIDE_SD * mean * energy) ** 2
         contradicted = find_contradictions(rides, known["rides"], self._cars)

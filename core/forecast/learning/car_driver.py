@@ -1,7 +1,8 @@
 """Consumption factors of cars and drivers, and the usual pattern of each car's shifts, learned from shift to shift.
 
 The logarithm of the used over the predicted energy of a shift is the sum of three parts: of the car, of its driver and
-of the day. Each shift updates all of them in proportion to their variances: a Kalman filter with a scalar measurement.
+of the day. A cold battery holds less, which adds a fourth part that is the same for all cars and proportional to the
+cold. Each shift updates all of them in proportion to their variances: a Kalman filter with a scalar measurement.
 Cars and drivers change, so the variance of each grows with each of their shifts, up to the variance among all cars or
 drivers.
 """
@@ -11,6 +12,8 @@ from hashlib import blake2b
 from math import log, nan
 from statistics import fmean, median
 from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from socast.core.batch import Ints, take_keys
 from socast.core.forecast.filter_state import CAPACITY_SD, DEFAULT_QUANTUM
@@ -24,6 +27,12 @@ CAR_CHANGE_SHIFTS: Final = 60
 """Number of shifts, a quarter's, in which a car may change by `CAR_SD`: tyres, wear, load."""
 DRIVER_CHANGE_SHIFTS: Final = 240
 """Number of shifts, a year's, in which a driver may change by `DRIVER_SD`."""
+COLD_BELOW: Final = 10.0
+"""Temperature below which a battery holds less. [°C]"""
+COLD_LOSS: Final = 0.002
+"""Share of its capacity that it lacks for each kelvin below that, before any shift. Estimated. [1/K]"""
+COLD_LOSS_SD: Final = 0.002
+"""Standard deviation of that share. [1/K]"""
 LARGEST_LOG_ERROR: Final = 1.0
 """A shift with a larger logarithm of used over predicted energy is ignored. [1]"""
 LEAST_SHIFTS: Final = 3
@@ -74,6 +83,7 @@ class ConsumptionFactors:
         self._patterns: dict[int, deque[ShiftPattern]] = {}
         self._cars: dict[int, LogFactor] = {}
         self._drivers: dict[int, LogFactor] = {}  # the driver with the newest shift is the last
+        self._cold_loss = LogFactor(COLD_LOSS, COLD_LOSS_SD**2)  # for each kelvin
 
     def expect(self, lane: int, driver: int | None = None) -> LogFactor:
         """Return the distribution of a shift of a car, with its driver where that is known."""
@@ -88,16 +98,36 @@ class ConsumptionFactors:
         """Return the distribution of the part of a driver; of any driver for None."""
         return UNKNOWN_DRIVER if driver is None else self._drivers.get(driver, UNKNOWN_DRIVER)
 
+    def expect_cold_loss(self, celsius: Any) -> Any:
+        """Return the part of the cold, 0 where the temperature is unknown. [1]"""
+        return self._cold_loss.mean * np.fmax(COLD_BELOW - celsius, 0.0)
+
     def add_shift(
-        self, lane: int, driver: int | None, predicted_kwh: float, used_kwh: float, capacity_kwh: float
+        self,
+        lane: int,
+        driver: int | None,
+        predicted_kwh: float,
+        used_kwh: float,
+        capacity_kwh: float,
+        ambient_c: float = COLD_BELOW,
+        weight: float = 1.0,
     ) -> None:
-        """Update the parts of a car and its driver by a shift."""
+        """Update the parts of a car, its driver and the cold by a shift.
+
+        Parameters
+        ----------
+        weight : float
+            Of the shift for the part of the cold, as the shifts of a day share much else. [1]
+        """
         if not (predicted_kwh > 0.0 and used_kwh > 0.0 and abs(log(used_kwh / predicted_kwh)) < LARGEST_LOG_ERROR):
             return
         expected, car = self.expect(lane, driver), self.get_car(lane)
         reading_sd = DEFAULT_QUANTUM * capacity_kwh / used_kwh
         total = expected.variance + ENERGY_SD**2 / predicted_kwh + reading_sd**2 / 6.0
-        residual = log(used_kwh / predicted_kwh) - expected.mean
+        residual = log(used_kwh / predicted_kwh) - expected.mean - float(self.expect_cold_loss(ambient_c))
+        cold, (mean, variance) = max(COLD_BELOW - ambient_c, 0.0), self._cold_loss
+        gain = cold * variance / (total / weight + cold**2 * variance)
+        self._cold_loss = LogFactor(mean + gain * residual, variance - gain * cold * variance)
         self._cars[lane] = _update_part(car, residual, total, CAR_SD, CAR_CHANGE_SHIFTS)
         if driver is not None:
             person = self.get_driver(driver)
@@ -127,11 +157,12 @@ class ConsumptionFactors:
     def dump(self) -> Any:
         """Return the state as plain lists."""
         patterns = [(lane, list(known)) for lane, known in self._patterns.items()]
-        return list(self._cars.items()), list(self._drivers.items()), patterns
+        return list(self._cars.items()), list(self._drivers.items()), patterns, self._cold_loss
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        cars, drivers, patterns = state
+        cars, drivers, patterns, cold_loss = state
+        self._cold_loss = LogFactor(*cold_loss)
         self._cars = {int(lane): LogFactor(*part) for lane, part in cars}
         self._drivers = {int(code): LogFactor(*part) for code, part in drivers}
         self._patterns = {

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, grown, replace_nan, take_lanes
-from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals
+from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
 from socast.core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
 from socast.core.forecast.learning.charged_soc import ChargedSoc
@@ -65,6 +65,8 @@ class ShiftEnergy(NamedTuple):
         Vehicle model, empty where it is unknown.
     level : float
         Level of the tables that predicted it, see `LegEnergyTables`. [1]
+    ambient_c : float
+        Mean outside temperature. [°C]
     """
 
     lane: int
@@ -74,6 +76,7 @@ class ShiftEnergy(NamedTuple):
     capacity_kwh: float
     model: str
     level: float
+    ambient_c: float
 
 
 class StretchEnergies(NamedTuple):
@@ -167,7 +170,8 @@ class FleetStatistics:
         for energy in self._shifts:
             # what the tables have learned of the level since is not learned of the car as well
             predicted = energy.predicted_kwh * float(np.exp(self.energies.get_level(energy.model) - energy.level))
-            self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)
+            known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
+            self.factors.add_shift(*known, energy.ambient_c, weigh_day(len(self._shifts)))
         for lane, pattern in self._new_patterns:
             self.factors.add_pattern(lane, pattern)
         self._shifts, self._new_patterns = [], []

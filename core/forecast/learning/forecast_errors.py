@@ -45,7 +45,7 @@ class ForecastRecord(NamedTuple):
     driving, waiting : float
         Planned energy until then, NaN without a plan and with `OVER_CHARGE`. [kWh]
     predicted, level : float
-        Energy predicted of the shift so far [kWh], and the level of the tables, see `LegEnergyTables` [1].
+        Energy predicted since the car woke [kWh], and the level of the tables, see `LegEnergyTables` [1].
     """
 
     time: float
@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
     charged, faulty : float
         When the car charged last, and when its reading was faulty last, NaN for never. [s]
     predicted, level : float
-        Energy predicted of the shift until then [kWh], and the level of the tables, see `LegEnergyTables` [1].
+        Energy predicted since the car woke [kWh], and the level of the tables, see `LegEnergyTables` [1].
     """
 
     soc: float
