@@ -245,7 +245,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed(
             FILTER_STATE,
             by_lane="predicted",
-            limits={"": Number(-1e15, 1e15)},
+            limits={"": Number(-1e15, 1e15), "curve": Number(-0.7, 0.7)},
             vacant={"active": Number(0.0, 0.0), "shift": Number(-MOST, -1.0)},
         ),
     ),

@@ -33,7 +33,7 @@ from socast.core.forecast.learning.car_driver import ShiftPattern, compute_drive
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord, Outcome
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
-from socast.core.forecast.outlook import compute_temperature_weights, find_expected_end
+from socast.core.forecast.outlook import compute_charge_between, compute_temperature_weights, find_expected_end
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
 from socast.core.forecast.soc_filter import close_shift, filter_events
 from socast.core.forecast.weather_forecasts import ForecastArrival, WeatherForecasts
@@ -194,6 +194,7 @@ class ForecastEngine:
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
         out["soc"], out["quantum"] = totals.at_last("soc"), totals.at_last("soc_step")
+        out["curve"] = totals.display["curve"]
         out["since_charge"], out["capacity"] = totals.at_last("since_charge"), self._cars.capacity[kind]
         out["driver"], out["driver_mean"], out["driver_variance"] = -1.0, np.nan, np.nan
 
@@ -255,7 +256,8 @@ class ForecastEngine:
         outcome = Outcome(*(float(shift[name]) for name in names))
         self.statistics.add_errors(self.log.evaluate_shift(lane, outcome))
         capacity = float(self._cars.capacity[kind])
-        used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
+        begin_soc, last_soc, curve = (float(shift[name]) for name in ("begin_soc", "last_soc", "curve"))
+        used = compute_charge_between(begin_soc, last_soc, curve) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
             ambient = np.array([float(shift["warmth"] / shift["hours"])])
             weights = compute_temperature_weights(ambient)

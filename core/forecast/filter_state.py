@@ -23,6 +23,7 @@ FILTER_STATE: Final = np.dtype(
         ("active", "f8"),  # 1 once the car has sent anything
         ("time", "f8"),  # of the newest event [s]
         ("soc", "f8"),  # state of charge [1]
+        ("curve", "f8"),  # of the display, see `socast.core.totals.display_yield`, in this shift [1]
         ("log_consumption", "f8"),  # `a`: log of the used over the predicted energy
         ("log_capacity", "f8"),  # `c`: log of the usable over the nominal capacity
         # covariance matrix of (soc, a, c)
@@ -106,6 +107,7 @@ FILTER_EVENT: Final = np.dtype(
         ("quantum", "f8"),  # its quantum, NaN while unknown [1]
         ("since_charge", "f8"),  # time since charging, NaN for never [s]
         ("capacity", "f8"),  # nominal usable capacity [kWh]
+        ("curve", "f8"),  # of the display, see `socast.core.totals.display_yield` [1]
         # of `DRIVER_NAMED` only
         ("driver", "f8"),  # code of the driver
         ("driver_mean", "f8"),  # mean of the driver's part of `a`
@@ -123,6 +125,7 @@ SOC_ESTIMATE: Final = np.dtype(
         ("covariance", "f8"),  # of `soc` and `log_factor`
         ("ambient", "f8"),  # outside temperature [K]
         ("shift", "f8"),  # ordinal of the shift
+        ("curve", "f8"),  # of the display [1]
         ("quantum", "f8"),  # of the reported state of charge [1]
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
@@ -152,6 +155,7 @@ CLOSED_SHIFT: Final = np.dtype(
         ("begin_soc", "f8"),  # [1]
         ("last_soc", "f8"),  # [1]
         ("lowest_soc", "f8"),  # [1]
+        ("curve", "f8"),  # of the display [1]
         ("distance", "f8"),  # [m]
         ("ride_distance", "f8"),  # [m]
         ("hours", "f8"),  # awake [h]

@@ -32,6 +32,8 @@ FACTOR_DECAY_TIME: Final = 3.0
 """Time constant of the return of the day's consumption factor to the usual; weather, traffic and load change. [h]"""
 RANGE_ITERATIONS: Final = 3
 """Number of iterations of the mean consumption factor over the range; the third changes it by less than 1e-3."""
+LEAST_SLOPE: Final = 0.2
+"""Least energy of a percent of a display over that of the mean percent; none of a car is as uneven. [1]"""
 DEFAULT_RESERVE: Final = 0.1
 """State of charge to keep where no plan defines it. [1]"""
 
@@ -81,6 +83,7 @@ class CarEstimate(NamedTuple):
     covariance : Covariance of `soc` and `log_factor`. [1]
     usual : Expected `log_factor`, before any data of the shift. [1]
     quantum : Quantum of the reported state of charge. [1]
+    curve : Curve of the display, see `socast.core.totals.display_yield`. [1]
     capacity : Nominal usable capacity. [kWh]
     """
 
@@ -91,6 +94,7 @@ class CarEstimate(NamedTuple):
     covariance: Floats
     usual: Floats
     quantum: Floats
+    curve: Floats
     capacity: Floats
 
     @classmethod
@@ -105,6 +109,31 @@ class CarEstimate(NamedTuple):
         """
         spans = np.maximum(hours, 1e-6) / FACTOR_DECAY_TIME
         return np.asarray(self.usual + (self.log_factor - self.usual) * -np.expm1(-spans) / spans)
+
+
+def compute_charge_between(upper: Any, lower: Any, curve: Any) -> Any:
+    """Return the energy between two charges of a display with a curve, over the capacity. [1]
+
+    Examples
+    --------
+    >>> round(compute_charge_between(1.0, 0.5, 0.1), 3), round(compute_charge_between(0.5, 0.0, 0.1), 3)
+    (0.525, 0.475)
+    """
+    return (upper - lower) * (1.0 + curve * (upper + lower - 1.0))
+
+
+def lower_charge(soc: Floats, energy: Floats, curve: Floats) -> Floats:
+    """Return the charge of a display with a curve after an energy, over the capacity: the inverse of the above. [1]
+
+    Examples
+    --------
+    >>> lower_charge(np.ones(2), np.array([0.525, 0.5]), np.array([0.1, 0.0])).round(3).tolist()
+    [0.5, 0.5]
+    """
+    level = compute_charge_between(soc, 0.0, curve) - energy
+    slope = 1.0 - curve
+    root = np.sqrt(np.maximum(slope**2 + 4.0 * curve * level, LEAST_SLOPE**2))
+    return np.asarray(2.0 * level / (slope + root))
 
 
 class MeanAndSd(NamedTuple):
@@ -335,7 +364,7 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
     standard deviation of the charge there, over the fall of the charge per kilometre, is that of the distance. The
     consumption factor returns to the usual within hours, so its mean over the way is found by iteration.
     """
-    left = np.maximum(estimate.soc - reserve, 0.0)
+    left = np.maximum(compute_charge_between(estimate.soc, reserve, estimate.curve), 0.0)
     per_km = usual.driving_energy_per_km
     energy = left * estimate.capacity
     for _ in range(RANGE_ITERATIONS):
@@ -372,7 +401,7 @@ def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> 
         + ENERGY_SD**2 * np.maximum(energy.mean, 0.0) / estimate.capacity**2
         + estimate.quantum**2 / 12.0
     )
-    mean = estimate.soc - np.exp(estimate.compute_mean_log_factor(hours)) * predicted
+    mean = lower_charge(estimate.soc, np.exp(estimate.compute_mean_log_factor(hours)) * predicted, estimate.curve)
     return MeanAndSd(mean, np.sqrt(np.maximum(variance, estimate.quantum**2 / 12.0)))
 
 

@@ -2,7 +2,8 @@
 
 The state is (s, a, c). `s` is the state of charge [1]. `a` (`log_consumption`) is the logarithm of the energy that this
 car uses today with this driver over the predicted energy. `c` (`log_capacity`) is the logarithm of its usable over its
-nominal capacity C. Over a stretch with the predicted energy E the charge falls by exp(a - c) E / C. Where voltage and
+nominal capacity C. Over a stretch with the predicted energy E the charge falls by exp(a - c) E / C. Where the display is a curve, a percent of it holds more energy at one charge than at another, and C
+is the energy that it holds at the present one. Where voltage and
 current are measured, it falls by the measured energy over exp(c) C, and the two energies together measure `a`.
 
 A meter has a constant gain error, which shifts `a` and `c` alike. Neither the fall of the charge nor the two energies
@@ -116,7 +117,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
-    state.begin_log_capacity = state.log_capacity
+    state.begin_log_capacity, state.curve = state.log_capacity, event.curve
     state.level, state.level_sd = event.level, nan
     state.usual, state.usual_variance = prior.mean, prior.variance
     state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
@@ -154,6 +155,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.event, row.lane, row.shift, row.begin, row.end = event, lane, state.shift, state.begin, state.time
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
+    row.curve = state.curve
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
     row.awake_predicted, row.level = state.awake_predicted, state.level
     row.charged, row.faulty = state.charged, state.faulty
@@ -195,7 +197,8 @@ def update_with_totals(state: Any, event: Any) -> None:
         used = metered * duration / meter_time if meter_time > 0.5 * duration else nan
         warming = event.time - state.begin < WARM_UP_TIME or event.since_charge < WARM_UP_TIME
         noise = ENERGY_SD**2 * (WARM_UP_VARIANCE_FACTOR if warming else 1.0)
-        predict_state(state, predicted, used, duration, event.capacity, noise)
+        capacity = event.capacity * (1.0 + state.curve * (2.0 * state.soc - 1.0))
+        predict_state(state, predicted, used, duration, capacity, noise)
     update_with_reading(state, event)
     if state.soc < -BEYOND_MARGIN or state.soc > 1.0 + BEYOND_MARGIN:  # never NaN
         state.soc = min(max(state.soc, -BEYOND_MARGIN), 1.0 + BEYOND_MARGIN)
@@ -212,7 +215,8 @@ def remember_totals(state: Any, event: Any) -> None:
         state.seen_predicted = state.seen_metered = state.seen_meter_time = 0.0
         state.seen_time = state.seen_ambient = state.seen_distance = 0.0
     else:
-        state.seen_predicted = 0.0 if isnan(event.predicted) else event.predicted
+        # the energy of a ride's beginning is used once the ride has lasted
+        state.seen_predicted = 0.0 if isnan(event.predicted) or event.duration <= 0.0 else event.predicted
         state.seen_metered, state.seen_meter_time = event.metered, event.meter_time
         state.seen_time, state.seen_ambient, state.seen_distance = event.duration, event.ambient, event.distance
 
@@ -306,6 +310,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.log_factor = state.log_consumption - state.log_capacity
     out.log_factor_variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
     out.covariance = state.p_sa - state.p_sc
+    out.curve = state.curve
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
     out.predicted, out.level = state.awake_predicted, state.level
