@@ -36,6 +36,7 @@ from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANT
 from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
 from socast.core.forecast.soc_reading import (
+    LEAST_FAULT,
     compute_jump_variance,
     compute_published_soc,
     discard_soc,
@@ -67,6 +68,8 @@ DRIVER_SD: Final = 0.06
 """Standard deviation of the consumption of drivers about their mean. [1]"""
 CONSUMPTION_WANDER: Final = 0.05
 """Standard deviation of the change of `a` in an hour awake. [1]"""
+RECOVERY_TIME: Final = 1800.0
+"""Time after a fault of the display from which its reading is an outcome again. [s]"""
 UNMODELLED_POWER: Final = 5.0
 """Standard deviation of the power of a car without a prediction and without a meter. [kW]"""
 CAPACITY_AGEING: Final = 0.005
@@ -158,7 +161,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.curve = state.curve
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
     row.awake_predicted, row.level = state.awake_predicted, state.level
-    row.charged, row.faulty = state.charged, state.faulty
+    row.charged, row.faulty = state.charged, find_lasting_fault(state)
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
 
@@ -302,6 +305,13 @@ def record_shift_soc(state: Any) -> None:
 
 
 @njit(cache=False)
+def find_lasting_fault(state: Any) -> float:
+    """Return when the reading was faulty last in the shift, NaN if it has recovered since without a lasting jump."""
+    recovered = abs(state.jump) < LEAST_FAULT and state.time - state.faulty > RECOVERY_TIME
+    return nan if recovered else float(state.faulty)
+
+
+@njit(cache=False)
 def write_estimate(state: Any, out: Any) -> None:
     """Write the estimate of a car, with a charge from empty to full; `out` is a SOC_ESTIMATE."""
     soc = compute_published_soc(state, state.quantum)
@@ -312,7 +322,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.curve = state.curve
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
-    out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
+    out.charged, out.faulty, out.reported = state.charged, find_lasting_fault(state), state.last_soc
     out.predicted, out.level = state.awake_predicted, state.level
     out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change

@@ -8,8 +8,8 @@ A reported value may be wrong. A value a little off is accepted after it has sta
 has stayed for `JUMP_CONFIRMATION`. Until then the prediction continues, and for the rest of the shift the charge has
 the variance of a choice between both values. If the reading jumps back, the charge does at once. Without a reading the
 prediction continues alone. A value that stays constant although the charge must have changed is frozen; it is accepted
-at its next step, and that step reduces no variance. The time of the last such fault is kept, because the charge that
-follows is no outcome of a forecast made before it.
+at its next step, and that step reduces no variance. The time of the last fault of more than `LEAST_FAULT` is kept,
+because the charge that follows is no outcome of a forecast made before it.
 
 References
 ----------
@@ -31,6 +31,9 @@ REJECTION_SDS: Final = 4.0
 """A reading farther from the estimate than this is not accepted at once. [standard deviations]"""
 REJECTION_MARGIN: Final = 0.01
 """A reading is never rejected within one quantum and this margin of the estimate. [1]"""
+LEAST_FAULT: Final = 0.03
+"""Least difference of a reading from the charge that makes it no outcome. Displays of old cars correct themselves by
+less, one way and the other: that is their noise. [1]"""
 STEP_CONFIRMATION: Final = 180.0
 """Time for which a reading that is off by less than `LEAST_JUMP` must stay off before it is accepted. [s]"""
 STEP_SD: Final = 0.01
@@ -48,7 +51,7 @@ def update_with_reading(state: Any, event: Any) -> None:
     """Update the state by the reported state of charge of an event."""
     quantum = state.quantum
     if isnan(event.soc):
-        if abs(state.fall) > quantum:  # the reading would have stepped
+        if abs(state.fall) > max(quantum, LEAST_FAULT):
             state.faulty = event.time
         return
     if isnan(state.soc):
@@ -61,7 +64,7 @@ def update_with_reading(state: Any, event: Any) -> None:
         state.fall = 0.0
         if state.frozen == 0.0 and abs(state.soc - event.soc) > limit:
             state.frozen = 1.0
-        if state.frozen == 1.0:
+        if state.frozen == 1.0 and abs(state.soc - event.soc) > LEAST_FAULT:
             state.faulty = event.time
         return
     off = event.soc - state.soc
@@ -91,12 +94,12 @@ def initialise_soc(state: Any, reported: float, quantum: float) -> None:
 def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
     """Remember a reading that jumped, or accept it once it has stayed or is back; it updates neither `a` nor `c`."""
     off = event.soc - state.soc
+    returned, is_step = state.jump != 0.0 and abs(off + state.jump) <= limit, abs(off) < LEAST_JUMP
     if isnan(state.suspect) or abs(off - state.suspect) > LEAST_JUMP:
         state.suspect_time = event.time
-    elif event.time - state.suspect_time >= STEP_CONFIRMATION:
+    elif event.time - state.suspect_time >= STEP_CONFIRMATION and abs(off) > LEAST_FAULT:
         state.faulty = event.time
     state.suspect = off
-    returned, is_step = state.jump != 0.0 and abs(off + state.jump) <= limit, abs(off) < LEAST_JUMP
     if returned or event.time - state.suspect_time >= (STEP_CONFIRMATION if is_step else JUMP_CONFIRMATION):
         if returned:
             state.jump = 0.0
@@ -104,7 +107,8 @@ def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
             state.jump += off
         state.soc = event.soc
         state.p_ss += quantum * quantum / 12.0 + (STEP_SD**2 if is_step else 0.0)
-        state.faulty = event.time
+        if abs(off) > LEAST_FAULT:
+            state.faulty = event.time
         accept_reading(state, event.soc)
 
 
