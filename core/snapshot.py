@@ -23,8 +23,8 @@ from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, 
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST
-from socast.core.forecast.learning.daily_cycle import HOURS
 from socast.core.forecast.learning.consumption_terms import TERMS
+from socast.core.forecast.learning.daily_cycle import HOURS
 from socast.core.forecast.learning.fleet import SHIFT_PATTERN
 from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
@@ -38,7 +38,6 @@ from socast.core.wire.state_schema import (
     Fault,
     Many,
     Maybe,
-    Named,
     Number,
     Packed,
     Row,
@@ -124,9 +123,7 @@ SUMS: Final = Packed("f8")
 """Sums of a day, whose number `DaySums.load` checks."""
 FACTOR: Final = Row(REAL, REAL)
 """Mean and variance of the logarithm of a consumption factor."""
-PATTERN: Final = Row(REAL, REAL)
-"""Duration and intensity of a shift."""
-_SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), REAL, REAL)
+_SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), *3 * (REAL,))
 _ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
@@ -170,7 +167,6 @@ _STATISTICS: Final = Row(
         Row(SUMS, SUMS),
     ),
     Many(_SHIFT),
-    Many(Row(LANE, PATTERN)),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": COUNT}),

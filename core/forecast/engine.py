@@ -29,7 +29,7 @@ from socast.core.forecast.filter_state import (
     create_filter_state,
 )
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST, ForecastRows, compute_forecast_rows
-from socast.core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
+from socast.core.forecast.learning.car_driver import compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord, Outcome
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
@@ -121,8 +121,7 @@ class ForecastEngine:
         if closed:
             begin = np.empty(len(events))
             begin[order] = estimates["begin"]
-            self.statistics.add_rides(sums.rides, begin[: len(sums.rides.lane)])
-            self.statistics.add_idle_periods(sums.idle_periods, begin[len(sums.rides.lane) : closed])
+            self.statistics.add_stretches(sums.rides, sums.idle_periods, begin[:closed])
         estimates = estimates.compress(events["kind"] == RUNNING)
 
         def get_tables(lane: int, at: int) -> LegEnergyTables | None:
@@ -189,7 +188,8 @@ class ForecastEngine:
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
-        out["predicted"], out["warm_up"], out["level"], out["level_sd"] = self.statistics.predict_energies(totals, weights)
+        energies = self.statistics.predict_energies(totals, weights)
+        out["predicted"], out["warm_up"], out["level"], out["level_sd"] = energies
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
@@ -259,25 +259,18 @@ class ForecastEngine:
         begin_soc, last_soc, curve = (float(shift[name]) for name in ("begin_soc", "last_soc", "curve"))
         used = compute_charge_between(begin_soc, last_soc, curve) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
-            ambient = np.array([float(shift["warmth"] / shift["hours"])])
-            weights = compute_temperature_weights(ambient)
-            usual = self.statistics.compute_usual(np.array([kind]), weights, np.full(1, np.nan))
-            hours = (float(shift["end"]) - float(shift["begin"])) / 3600.0
-            predicted = float(shift["predicted"])
-            driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
-            relative_power = predicted / (float(usual.mean_power[0]) * hours)
-            pattern = ShiftPattern(hours, relative_power) if relative_power > 0.0 else None
             energy = ShiftEnergy(
                 lane=lane,
-                driver=driver,
-                predicted_kwh=predicted,
+                driver=int(shift["driver"]) if shift["driver"] >= 0.0 else None,
+                predicted_kwh=float(shift["predicted"]),
                 used_kwh=used,
                 capacity_kwh=capacity,
                 model=self._cars.name(kind) or "",
                 level=float(shift["level"]),
-                ambient_c=float(ambient[0]) - ZERO_CELSIUS,
+                ambient_c=float(shift["warmth"] / shift["hours"]) - ZERO_CELSIUS,
+                hours=(float(shift["end"]) - float(shift["begin"])) / 3600.0,
             )
-            self.statistics.add_shift(energy, pattern)
+            self.statistics.add_shift(energy)
 
     def apply_daily_update(self, midnight: float = -inf) -> None:
         """Let the statistics of the day take effect, and forget the weather forecasts for times before midnight [s]."""

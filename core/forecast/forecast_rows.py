@@ -14,13 +14,13 @@ from socast.core.forecast.outlook import (
     CarEstimate,
     compute_planned_energy,
     compute_range,
+    compute_soc_sd,
     compute_temperature_weights,
     fill_from_history,
     schedule_plan,
 )
 from socast.core.forecast.plan_tracker import get_ride_km
 from socast.core.forecast.soc_ahead import LearnedErrors, find_charging_since, forecast_soc_ahead
-from socast.core.forecast.soc_reading import READING_SD
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.fleet import Cars
 from socast.core.wire.live_fields import LiveField, list_interval_columns, list_live_fields
@@ -211,7 +211,7 @@ def compute_forecast_rows(
     return ForecastRows(
         predicted=predicted,
         soc=estimate.soc,
-        soc_sd=np.where(np.isnan(estimate.soc), np.nan, np.sqrt(np.maximum(estimate.variance, READING_SD**2))),
+        soc_sd=compute_soc_sd(estimate),
         soc_end_of_shift=soc.end.mean,
         soc_end_of_shift_p05=soc.end.p05,
         soc_end_of_shift_p95=soc.end.p95,

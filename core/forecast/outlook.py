@@ -21,6 +21,7 @@ from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARG
 from socast.core.forecast.learning.consumption_terms import TEMPERATURES, compute_knot_weights
 from socast.core.forecast.planned_legs import compute_share_left
 from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
+from socast.core.forecast.soc_reading import READING_SD
 
 PLAN_LEAD: Final = 600.0
 """A plan applies to samples from this time before it was sent. [s]"""
@@ -109,6 +110,12 @@ class CarEstimate(NamedTuple):
         """
         spans = np.maximum(hours, 1e-6) / FACTOR_DECAY_TIME
         return np.asarray(self.usual + (self.log_factor - self.usual) * -np.expm1(-spans) / spans)
+
+
+def compute_soc_sd(estimate: CarEstimate) -> Floats:
+    """Return the standard deviation of the present charge, NaN where the charge is unknown. [1]"""
+    sd = np.sqrt(np.maximum(estimate.variance, READING_SD**2))
+    return np.where(np.isnan(estimate.soc), np.nan, sd)
 
 
 def compute_charge_between(upper: Any, lower: Any, curve: Any) -> Any:
@@ -240,6 +247,8 @@ def schedule_plan(
     ride_km: Floats,
     riding: NDArray[np.bool_],
     charging_since: Floats,
+    *,
+    drives_all: bool = False,
 ) -> PlanTimes:
     """Return how the rest of a shift is spent by plan.
 
@@ -251,13 +260,15 @@ def schedule_plan(
     ----------
     charging_since : (n,) float
         When a car that stands at a charger came there, NaN for others. [s]
+    drives_all : bool
+        Whether all rides are driven, however late.
     """
     left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
     begun = riding * left * progress["leg_s"]
     pending = ~riding * progress["leg_s"] + progress["later_s"]
     room = np.maximum(progress["end"] + GRACE - time - begun, 0.0)
     in_time = np.divide(room, pending, out=np.ones(len(time)), where=pending > room)
-    kept = np.where(progress["charges"] > 0.0, 1.0, in_time)
+    kept = np.where(drives_all | (progress["charges"] > 0.0), 1.0, in_time)
     driving = begun + kept * pending
     charging = np.maximum(progress["charge_s"] - replace_nan(time - charging_since, 0.0), 0.0)
     middle = charging + progress["between_s"]  # 0 without charges, like all that follows a charge
@@ -286,7 +297,9 @@ def compute_planned_energy(
         np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
         for name in ("leg_kwh", "begun_kwh", "later_kwh")
     )
-    approaches = kept * (progress["legs"] - riding * (progress["legs"] > 0.0)) + has_charge  # the way to a charger is empty, too
+    approaches = (
+        kept * (progress["legs"] - riding * (progress["legs"] > 0.0)) + has_charge
+    )  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
     parts = np.column_stack([np.where(riding, left * begun, kept * whole) + kept * later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)

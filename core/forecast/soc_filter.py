@@ -2,9 +2,9 @@
 
 The state is (s, a, c). `s` is the state of charge [1]. `a` (`log_consumption`) is the logarithm of the energy that this
 car uses today with this driver over the predicted energy. `c` (`log_capacity`) is the logarithm of its usable over its
-nominal capacity C. Over a stretch with the predicted energy E the charge falls by exp(a - c) E / C. Where the display is a curve, a percent of it holds more energy at one charge than at another, and C
-is the energy that it holds at the present one. Where voltage and
-current are measured, it falls by the measured energy over exp(c) C, and the two energies together measure `a`.
+nominal capacity C. Over a stretch with the predicted energy E the charge falls by exp(a - c) E / C. Where voltage and
+current are measured, it falls by the measured energy over exp(c) C, and the two energies together measure `a`. Where
+the display is a curve, C is the energy that it holds at the present charge.
 
 A meter has a constant gain error, which shifts `a` and `c` alike. Neither the fall of the charge nor the two energies
 reveal it, so `a` and `c` are relative to this car's meter. The uncertainty of the gain applies where a capacity is
@@ -33,8 +33,8 @@ from socast.core.compiled_cache import watch_sources
 from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_reading
 from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
 from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
-from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
+from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.soc_reading import (
     LEAST_FAULT,
     compute_jump_variance,
@@ -129,7 +129,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
 
 @njit(cache=False)
 def add_temperature(state: Any, event: Any) -> None:
-    """Add to the prior of a shift what its temperature adds, once that is known: uncertain tables, and less capacity."""
+    """Add to the prior of a shift what its temperature adds, once it is known: uncertain tables, and less capacity."""
     state.level_sd = event.level_sd
     state.usual += event.cold_loss
     state.log_consumption += event.cold_loss

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import AskError, suggest_names
-from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
 from socast.core.forecast.interval_columns import ChargeColumns, IntervalColumns
@@ -37,6 +37,7 @@ from socast.core.forecast.outlook import (
     PlanTimes,
     compute_end_soc,
     compute_planned_energy,
+    compute_soc_sd,
     compute_temperature_weights,
     fill_from_history,
     schedule_plan,
@@ -54,7 +55,6 @@ from socast.core.forecast.soc_ahead import (
     forecast_soc_ahead,
 )
 from socast.core.forecast.soc_filter import METER_GAIN_SD, SHIFT_GAP, write_estimate
-from socast.core.forecast.soc_reading import READING_SD
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
 
@@ -132,26 +132,33 @@ class RouteAhead(NamedTuple):
     ----------
     query_place : int or None
         Index of the queried leg, None without one.
+    drives_all : bool
+        Whether all legs are driven, however late, as those of a question are.
     """
 
     legs: PlannedLegs
     in_progress: bool
     query_place: int | None
+    drives_all: bool
 
     @classmethod
-    def create(cls, left: PlannedLegs, in_progress: bool, leg: Leg | None, now: CarOutlook) -> "RouteAhead":
+    def create(
+        cls, left: PlannedLegs, in_progress: bool, leg: Leg | None, now: CarOutlook, *, drives_all: bool
+    ) -> "RouteAhead":
         """Return the rest of a plan, with the queried leg first, but after the leg in progress."""
         if leg is None:
-            return cls(left, in_progress, None)
+            return cls(left, in_progress, None, drives_all)
         queried = compute_planned_legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
-        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress))
+        sure = 1.0 / now.usual.plan_factor[0, 0]  # of plans that share is driven, but the queried leg is driven
+        queried = queried._replace(energy=sure * queried.energy, begun_energy=sure * queried.begun_energy)
+        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress), drives_all)
 
     def compute_ahead(self, now: CarOutlook) -> "WayAhead":
         """Return the energy ahead by plan, as for a forecast."""
         time, riding = np.array([now.time]), np.array([self.in_progress])
         progress = self.legs.compute_progress(0.0).reshape(1)
         charging_since = find_charging_since(now.filtered, progress["came"])
-        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since)
+        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since, drives_all=self.drives_all)
         energy = compute_planned_energy(progress, times, time, riding, now.usual)
         return WayAhead(progress, times, charging_since, energy)
 
@@ -183,6 +190,7 @@ class RouteAhead(NamedTuple):
         pause = np.asarray((waits & ~is_charge) * min(spare / max(int(waits.sum()), 1), longest), np.float64)
         approaches = (place >= self.in_progress) & ~is_charge
         idling = pause * now.usual.standing_power + approaches * now.usual.approach_energy
+        idling[:1] += now.usual.warm_up_energy
         driving = self.legs.energy @ now.usual.weights[0]
         if is_charge.any():
             return LegTimes(hours, pause, driving, idling, TO_CHARGE)
@@ -262,7 +270,8 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     now = CarOutlook(engine, lane, nan if left is None else left.plan.shift_end_s)
     no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
     in_progress = tracker.is_riding(lane) and left is not None and len(left.km) > 0 and np.isnan(left.charge_to[0])
-    route = RouteAhead.create(left or no_legs, in_progress, leg, now)
+    is_question = leg is not None or plan is not None
+    route = RouteAhead.create(left or no_legs, in_progress, leg, now, drives_all=is_question)
     way = route.compute_ahead(now)
     if left is None:
         way = way._replace(energy=_add_history(way.energy, leg is not None, now))
@@ -281,7 +290,7 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
         time_s=now.time,
         model=engine.context.model_label,
         soc_pct=_none_if_unknown(100.0 * float(now.estimate.soc[0])),
-        soc_sd_pct=None if np.isnan(now.estimate.soc[0]) else _none_if_unknown(100.0 * max(float(np.sqrt(now.estimate.variance[0])), READING_SD)),
+        soc_sd_pct=_none_if_unknown(100.0 * float(compute_soc_sd(now.estimate)[0])),
         usable_capacity_kwh=_none_if_unknown(capacity),
         usable_capacity_sd_kwh=_none_if_unknown(capacity_sd),
         consumption_scale=_none_if_unknown(float(np.exp(now.state["log_consumption"]))),
@@ -344,11 +353,12 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhe
     """
     unknown = np.array([np.nan])
     nothing = ride._replace(energy=unknown, km=unknown, hours=unknown, end=unknown, reserve=unknown)
-    usual = fill_from_history(nothing, now.usual, ride.end - now.shift_begin, ride.end, now.pattern)
+    later = now.usual._replace(warm_up_energy=np.zeros(1))  # the warm-up is part of the ride's energy
+    usual = fill_from_history(nothing, later, ride.end - now.shift_begin, ride.end, now.pattern)
     if np.isfinite(usual.energy[0]):
         return usual._replace(
             energy=ride.energy + usual.energy,
-            sd=ride.sd + usual.sd,  # both depend on the same temperature
+            sd=ride.sd,
             km=ride.km + usual.km,
             hours=ride.hours + usual.hours,
         )

@@ -68,7 +68,7 @@ def shift(
     passed = step * np.arange(1.0, n + 1)
     out["lane"] = np.arange(cars)[:, None]
     out["time"], out["duration"] = begin + passed, passed
-    out["predicted"], out["factor"], out["riding"] = predicted.cumsum(axis=1), 1.0, 1.0
+    out["predicted"], out["riding"] = predicted.cumsum(axis=1), 1.0
     out["distance"], out["ambient"] = 8.0 * passed, 283.15 * passed
     if metered:
         gain = np.exp(soc_filter.METER_GAIN_SD * np.random.default_rng(7).normal(size=(cars, 1)))  # constant over days

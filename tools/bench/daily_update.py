@@ -3,15 +3,14 @@
 import time
 from collections.abc import Callable
 from itertools import product
-from math import nan
 from typing import Final
 
 import numpy as np
 
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.forecast.learning.car_driver import KEPT_SHIFTS, ShiftPattern
+from socast.core.forecast.learning.car_driver import KEPT_SHIFTS
 from socast.core.forecast.learning.fleet import ShiftEnergy
-from socast.core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord
+from socast.core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord, Outcome
 from socast.core.pipeline import Pipeline
 from socast.tools.bench.filters import SHARE, WARM_UP, make_plans, make_trained_pipeline, push_rounds
 from socast.tools.bench.fleet import START_S, make_vehicles
@@ -76,17 +75,15 @@ def _learn(pipeline: Pipeline, cars: int) -> None:
     for _, at in product(range(RIDES), range(0, cars, AT_ONCE)):
         totals = pipeline.totals.accumulator.running(lanes[at : at + AT_ONCE])
         totals = totals._replace(amounts=20.0 * totals.amounts)
-        predicted = np.full(len(totals.lane), 3.0)
-        statistics.add_rides(totals, predicted)
-        statistics.add_idle_periods(totals, predicted)
+        statistics.add_stretches(totals, totals, np.tile(totals.at_first("time") - 3600.0, 2))
 
 
 def _end(pipeline: Pipeline, cars: int) -> None:
     """End the shift of a fleet: evaluate its forecasts, and learn from it as one of many."""
     engine = pipeline.engine
     for lane in range(cars):
-        engine.statistics.add_errors(engine.log.evaluate_shift(lane, 0.38, nan))
+        engine.statistics.add_errors(engine.log.evaluate_shift(lane, Outcome(0.38)))
         model = engine.context.cars.name(int(engine.context.cars.of_lane[lane])) or ""
         for _ in range(KEPT_SHIFTS):
-            energy = ShiftEnergy(lane, None, 20.0, 20.0, 21.0, 24.0, model, 10.0, 280.0, is_corrected=True)
-            engine.statistics.add_shift(energy, ShiftPattern(10.0, 1.0))
+            energy = ShiftEnergy(lane, None, 20.0, 21.0, 24.0, model, 0.0, 7.0, 10.0)
+            engine.statistics.add_shift(energy)

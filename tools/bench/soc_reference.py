@@ -110,7 +110,7 @@ def _fit(terms: Floats, used: Floats, weight: Floats) -> tuple[Floats, Floats]:
     variance = (FIXED_SD + RELATIVE_SD * used) ** 2
     weighted = terms * (weight / variance)[:, np.newaxis]
     precision = np.diag(PRIOR_SD**-2.0)
-    covariance = np.linalg.inv(precision + weighted.T @ terms)
+    covariance = np.asarray(np.linalg.inv(precision + weighted.T @ terms), np.float64)
     return covariance @ (precision @ np.ones(3) + weighted.T @ used), covariance
 
 

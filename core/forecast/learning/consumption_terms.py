@@ -2,9 +2,10 @@
 
 A stretch is a ride, an idle period or a leg of a plan. Its energy at an outside temperature is linear in its amounts:
 kilometres by pace, kilometres times the square of the mean speed, hours of driving and of waiting, metres climbed and
-descended, the beginning of a ride, and the share of the warm-up after the car woke that falls into it. How much each amount takes depends on the temperature through few coefficients:
-air and tyres in the cold, heating, and air conditioning. The coefficients are linear in the energy, too, so that a
-regression of measured energies finds them (`socast.core.forecast.learning.energy_regression`).
+descended, the beginning of a ride, and the share of the warm-up after the car woke that falls into it. How much each
+amount takes depends on the temperature through few coefficients: air and tyres in the cold, heating, and air
+conditioning. The energy is linear in these coefficients, too, so that a regression of measured energies finds them
+(`socast.core.forecast.learning.energy_regression`).
 
 Before any data, the official consumption of the vehicle model without charging losses is split into air drag, which
 follows from its drag area, and the rest. Heating and air conditioning are those of the reference car.
@@ -80,7 +81,7 @@ class Prior(NamedTuple):
 def _split_climate() -> tuple[Floats, Floats]:
     """Return the power of heating and of cooling of the reference car at each knot of temperature. [kW]"""
     power = (ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) - ACCESSORIES.standby) / 1000.0
-    cold = TEMPERATURES + ZERO_CELSIUS < ACCESSORIES.cooling_on
+    cold = ACCESSORIES.cooling_on > TEMPERATURES + ZERO_CELSIUS
     return np.where(cold, power, 0.0), np.where(cold, 0.0, power)
 
 

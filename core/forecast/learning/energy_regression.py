@@ -88,7 +88,7 @@ class StretchRows(NamedTuple):
 
     def rows(self, which: Ints) -> "StretchRows":
         """Return some of the rows."""
-        return StretchRows(*(column[which] for column in self))
+        return StretchRows(**{name: column[which] for name, column in self._asdict().items()})
 
 
 class ModelSums:

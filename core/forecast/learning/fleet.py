@@ -1,9 +1,9 @@
 """Statistics of a fleet: collected through the day, applied by the daily update.
 
-They hold what driving, waiting and the climate take (`energy_regression`), the consumption factors of cars and drivers
-and the usual pattern of each car's shifts (`car_driver`), and the errors of forecasts
-(`socast.core.forecast.conformal` and `forecast_errors`). All of them take effect when the next day begins. So a forecast depends on the day, and not on which
-other cars sent samples a moment earlier.
+They hold what driving, waiting and the climate take (`energy_regression`), what is done of plans (`plan_outcomes`), the
+consumption factors of cars and drivers and the usual pattern of each car's shifts (`car_driver`), and the errors of
+forecasts (`socast.core.forecast.conformal` and `forecast_errors`). All of them take effect when the next day begins. So
+a forecast depends on the day, and not on which other cars sent samples a moment earlier.
 """
 
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, grown, replace_nan, take_lanes
+from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
 from socast.core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
 from socast.core.forecast.learning.charged_soc import ChargedSoc
-from socast.core.forecast.learning.daily_cycle import DailyCycle
 from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TEMPERATURES,
@@ -28,13 +28,14 @@ from socast.core.forecast.learning.consumption_terms import (
     make_prior,
     predict_energy,
 )
+from socast.core.forecast.learning.daily_cycle import DailyCycle
 from socast.core.forecast.learning.energy_regression import EnergyRegressions, StretchRows
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
-from socast.core.totals.accumulator import Totals
+from socast.core.totals.accumulator import Totals, join_totals
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import compute_largest_energy, measure_energy
 from socast.core.totals.tables import unfit_reason
@@ -49,6 +50,7 @@ LONGEST_GAP: Final = 60.0
 SHIFT_PATTERN: Final = np.dtype([("hours", "f8"), ("relative_power", "f8")])
 """Usual duration [h] and intensity [1] of a car's shifts, NaN where too few are known."""
 _KNOTS: Final = len(TEMPERATURES)
+
 
 class ShiftEnergy(NamedTuple):
     """Hold the energy of a shift that has ended.
@@ -67,6 +69,8 @@ class ShiftEnergy(NamedTuple):
         Level of the tables that predicted it, see `LegEnergyTables`. [1]
     ambient_c : float
         Mean outside temperature. [°C]
+    hours : float
+        Duration. [h]
     """
 
     lane: int
@@ -77,6 +81,7 @@ class ShiftEnergy(NamedTuple):
     model: str
     level: float
     ambient_c: float
+    hours: float
 
 
 class StretchEnergies(NamedTuple):
@@ -115,7 +120,6 @@ class FleetStatistics:
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
         self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
-        self._new_patterns: list[tuple[int, ShiftPattern]] = []
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
         self._rows = _stack_tables(self._tables)
 
@@ -126,22 +130,32 @@ class FleetStatistics:
             self.prior = grown(self.prior, lanes, prior)
             self._patterns = grown(self._patterns, lanes, np.array((np.nan, np.nan), SHIFT_PATTERN))
 
-    def add_rides(self, rides: Totals, begin: Floats) -> None:
-        """Add rides that have ended, if they are representative; `begin` is that of their shifts. [s]"""
-        if len(rides.lane):
-            fit = np.array([why in ACCEPTED_UNFITNESS for why in unfit_reason(rides, self._context)])
-            plugged = rides.at_last("since_charge") - rides.amount("duration")
-            rested = (rides.at_last("parked") > LONGEST_SOAK) & (rides.at_first("time") - begin > WARM_UP_TIME)
-            self._add(rides, fit & ~rested & ~(plugged < WARM_UP_TIME), begin)
+    def add_stretches(self, rides: Totals, idle: Totals, begin: Floats) -> None:
+        """Add rides and idle periods that have ended, in their order, if they are representative.
 
-    def add_idle_periods(self, idle: Totals, begin: Floats) -> None:
-        """Add idle periods that have ended, if the car neither charged nor fell silent."""
-        if not len(idle.lane):
-            return
+        Parameters
+        ----------
+        begin : (n,) float
+            When the shifts of the rides, and then of the idle periods, began. [s]
+        """
+        parts = [self._find_fit_rides(rides, begin[: len(rides.lane)]), self._find_fit_idle_periods(idle)]
+        both = join_totals((rides, idle), rides)
+        order = np.argsort(both.at, kind="stable")
+        self._add(both.rows(order), np.concatenate(parts)[order], begin[order])
+
+    def _find_fit_rides(self, rides: Totals, begin: Floats) -> NDArray[np.bool_]:
+        """Return which rides are fit for training, and began neither just after charging nor after a rest."""
+        fit = np.array([why in ACCEPTED_UNFITNESS for why in unfit_reason(rides, self._context)], np.bool_)
+        plugged = rides.at_last("since_charge") - rides.amount("duration")
+        rested = (rides.at_last("parked") > LONGEST_SOAK) & (rides.at_first("time") - begin > WARM_UP_TIME)
+        return fit & ~rested & ~(plugged < WARM_UP_TIME)
+
+    def _find_fit_idle_periods(self, idle: Totals) -> NDArray[np.bool_]:
+        """Return in which idle periods the car neither charged nor fell silent."""
         duration = idle.amount("duration")
         whole = idle.at_last("time") - idle.at_first("time") <= duration + LONGEST_GAP
         charged = idle.at_last("since_charge") < duration + LONGEST_GAP
-        self._add(idle, whole & ~charged & (idle.at_first("time") > 0.0), begin)
+        return np.asarray(whole & ~charged & (idle.at_first("time") > 0.0))
 
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""
@@ -154,14 +168,12 @@ class FleetStatistics:
                 self.daily_cycle.add_shift(each.time, each.ambient_c)
             self.interval_outcomes[each.basis] += each.outcomes
 
-    def add_shift(self, energy: ShiftEnergy, pattern: ShiftPattern | None) -> None:
+    def add_shift(self, energy: ShiftEnergy) -> None:
         """Add a shift that has ended.
 
         The consumption factors wait for the daily update, because they are read when a driver is named.
         """
         self._shifts.append(energy)
-        if pattern is not None:
-            self._new_patterns.append((energy.lane, pattern))
 
     def apply_daily_update(self) -> None:
         """Let everything that was collected take effect."""
@@ -172,9 +184,8 @@ class FleetStatistics:
             predicted = energy.predicted_kwh * float(np.exp(self.energies.get_level(energy.model) - energy.level))
             known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
             self.factors.add_shift(*known, energy.ambient_c, weigh_day(len(self._shifts)))
-        for lane, pattern in self._new_patterns:
-            self.factors.add_pattern(lane, pattern)
-        self._shifts, self._new_patterns = [], []
+            self._add_pattern(energy, predicted)
+        self._shifts = []
         self.conformal.apply_daily_update()
         self.daily_cycle.apply_daily_update()
         self.charged_soc.apply_daily_update()
@@ -182,6 +193,14 @@ class FleetStatistics:
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
+
+    def _add_pattern(self, energy: ShiftEnergy, predicted_kwh: float) -> None:
+        """Remember the duration of a shift, and its energy by the present tables over that of usual hours."""
+        if (tables := self.get_tables(energy.lane)) is not None:
+            weights = compute_temperature_weights(np.array([energy.ambient_c + ZERO_CELSIUS]))[0]
+            relative_power = predicted_kwh / (float(tables.mean_power @ weights) * energy.hours)
+            if relative_power > 0.0:
+                self.factors.add_pattern(energy.lane, ShiftPattern(energy.hours, relative_power))
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
         """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""
@@ -282,11 +301,11 @@ class FleetStatistics:
         learning = self.energies, self.factors, self.conformal
         parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc, self.plan_outcomes)]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
-        return parts, self._shifts, self._new_patterns, *arrays
+        return parts, self._shifts, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (energies, factors, conformal, daily_cycle, charged, plans), shifts, new, prior, patterns, outcomes = state
+        (energies, factors, conformal, daily_cycle, charged, plans), shifts, prior, patterns, outcomes = state
         self.energies.load(energies)
         self.factors.load(factors)
         self.conformal.load(conformal)
@@ -295,7 +314,6 @@ class FleetStatistics:
         self.plan_outcomes.load(plans)
         self._tables = []
         self._shifts = [ShiftEnergy(*each) for each in shifts]
-        self._new_patterns = [(lane, ShiftPattern(*pattern)) for lane, pattern in new]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
         self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()
@@ -334,7 +352,7 @@ def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
 def _compute_amounts(totals: Totals) -> Floats:
     """Return the amounts of rides and idle periods, (n, amounts)."""
     km, hours = totals.amount("distance") / 1000.0, totals.amount("duration") / 3600.0
-    climbs = (replace_nan(totals.amount(name), 0.0) for name in ("gained", "lost"))
+    gained, lost = (replace_nan(totals.amount(name), 0.0) for name in ("gained", "lost"))
     out = np.empty((len(km), STRETCH_AMOUNTS))
-    compute_amounts(totals.ride >= 0, km, hours, *climbs, out)
+    compute_amounts(totals.ride >= 0, km, hours, gained, lost, out)
     return out

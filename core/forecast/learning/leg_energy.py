@@ -83,7 +83,7 @@ class LegEnergyTables(NamedTuple):
         rates = EXPANSION @ mean
         rates[:, : len(PACES)] = np.maximum(rates[:, : len(PACES)], LEAST_ENERGY_PER_KM)
         rates[:, [DRIVING, WAITING]] = np.maximum(rates[:, [DRIVING, WAITING]], LEAST_POWER)
-        rates[:, GAINED] = np.maximum(rates[:, GAINED], 0.0)
+        rates[:, [GAINED, WARM_UP]] = np.maximum(rates[:, [GAINED, WARM_UP]], 0.0)
         parts = np.array([mix.rides, mix.idle])
         terms = parts @ EXPANSION  # (temperatures, 2, terms)
         energy = np.maximum(parts @ rates[:, :, np.newaxis], 1e-9)  # (temperatures, 2, 1)
@@ -135,8 +135,8 @@ class LegEnergyTables(NamedTuple):
     def driving_energy_per_km(self) -> Floats:
         """Energy of a kilometre on a long way that has begun, at the usual pace, (temperatures,). [kWh/km]"""
         way = np.zeros((1, STRETCH_AMOUNTS))
-        hours, climbs = np.array([self.ride_pace / 60.0]), self.climbs[:, np.newaxis]
-        compute_amounts(np.ones(1, np.bool_), np.ones(1), hours, *climbs, way)
+        gained, lost = self.climbs[:, np.newaxis]
+        compute_amounts(np.ones(1, np.bool_), np.ones(1), np.array([self.ride_pace / 60.0]), gained, lost, way)
         way[0, START] = 0.0
         return np.asarray(np.maximum(self.rates @ way[0], LEAST_ENERGY_PER_KM))
 
@@ -192,4 +192,3 @@ def _compute_leg_energy(legs: Any, climbs: Any, rates: Any, out: Any) -> None:
 
 
 watch_sources(_compute_leg_energy, consumption_terms)
-

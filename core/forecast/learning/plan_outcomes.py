@@ -1,8 +1,8 @@
 """Learn how far shifts go as planned: how much driving and waiting is left out, or comes on top.
 
-Passengers do not come, rides are longer than planned, and cars are sent elsewhere. What a car does after a forecast takes
-an energy by the tables of its vehicle model, and so does what was planned. The first is regressed on the planned energy
-of driving and of waiting,
+Passengers do not come, rides are longer than planned, and cars are sent elsewhere. What a car does after a forecast
+takes an energy by the tables of its vehicle model, and so does what was planned. The first is regressed on the planned
+energy of driving and of waiting,
 
     energy done = (1 + x_driving) driving + (1 + x_waiting) waiting + noise,
 

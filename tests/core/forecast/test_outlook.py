@@ -9,21 +9,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.consumption_terms import LOST, TEMPERATURES
+from socast.core.forecast.learning.consumption_terms import START as STARTS
 from socast.core.forecast.learning.fleet import SHIFT_PATTERN
-from socast.core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT, TEMPERATURES
+from socast.core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     FACTOR_DECAY_TIME,
+    GRACE,
     OVERTIME,
     PLAN_LEAD,
     CarEstimate,
     EnergyAhead,
     MeanAndSd,
+    compute_charge_between,
     compute_end_soc,
     compute_planned_energy,
     compute_range,
     compute_temperature_weights,
     fill_from_history,
+    lower_charge,
     schedule_plan,
 )
 from socast.core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
@@ -48,10 +53,22 @@ def planned():
     return compute_planned_legs(PLAN, statistics().get_tables(2))
 
 
-def usual(n=1, celsius=CELSIUS):
+def usual(n=1, celsius=CELSIUS, awake_s=np.inf):
+    """Return the usual consumption, without uncertainty and as if all went by plan."""
     weights = compute_temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
-    learned = statistics().compute_usual(np.ones(n, np.int64), weights)
-    return learned._replace(factor=np.ones_like(learned.factor), covariance=np.zeros_like(learned.covariance))
+    learned = statistics().compute_usual(np.ones(n, np.int64), weights, np.full(n, awake_s))
+    nothing = np.zeros_like(learned.covariance)
+    return learned._replace(
+        covariance=nothing, plan_factor=np.ones((n, 2)), plan_covariance=nothing, plan_spread=np.zeros(n)
+    )
+
+
+def begin_with(energy):
+    """Return the tables, where the beginning of a ride takes an energy. [kWh]"""
+    tables = statistics().get_tables(2)
+    rates = tables.rates.copy()
+    rates[:, STARTS] = energy
+    return tables._replace(rates=rates)
 
 
 def certain(energy):
@@ -77,8 +94,8 @@ def remaining(done, driven):
     return left if driven is None else left.shorten(driven)
 
 
-def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, covariance=-1e-5, usual=0.0, capacity=24.0):
-    values = (soc, variance, log_factor, log_factor_variance, covariance, usual, 0.01, capacity)
+def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, covariance=-1e-5, usual=0.0, curve=0.0):
+    values = (soc, variance, log_factor, log_factor_variance, covariance, usual, 0.01, curve, 24.0)
     return CarEstimate(*np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, float)) for value in values)))
 
 
@@ -160,16 +177,12 @@ def test_progress_sums_up_the_stretches_of_the_legs_that_are_left(are_charges, r
 @given(st.floats(0.01, 1.0), st.floats(0.1, 20.0), st.floats(1.0, 20.0), st.floats(0.0, 400.0), st.floats(0.0, 400.0))
 def test_share_of_a_begun_leg_takes_that_share_of_its_energy(share, km, pace, gained, lost):
     parts = np.array([[1.0], [share]]) * np.array([km, 60.0 * pace * km, gained, lost])
-    whole, some = (
-        statistics().get_tables(2)._replace(start_energy=0.3).compute_leg_energy(*part.reshape(4, 1))[1]
-        for part in parts
-    )
+    whole, some = (begin_with(0.3).compute_leg_energy(*part.reshape(4, 1))[1] for part in parts)
     assert some == pytest.approx(share * whole)
 
 
 def test_begun_ride_has_no_start_energy():
-    tables, leg = statistics().get_tables(2)._replace(start_energy=0.3), np.array([[6.0], [600.0], [np.nan], [np.nan]])
-    energy, begun_energy = tables.compute_leg_energy(*leg)
+    energy, begun_energy = begin_with(0.3).compute_leg_energy(*np.array([[6.0], [600.0], [np.nan], [np.nan]]))
     assert energy - begun_energy == pytest.approx(0.3)
 
 
@@ -177,32 +190,58 @@ def test_begun_ride_has_no_start_energy():
 def test_leg_returns_no_more_than_its_descent(km, pace, gained, lost):
     tables = statistics().get_tables(2)
     taken, _ = tables.compute_leg_energy(*np.array([[km], [60.0 * pace * km], [gained], [lost]]))
-    assert tables.descent_energy < 0.0
-    assert (taken >= tables.descent_energy * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
+    assert (tables.rates[:, LOST] < 0.0).all()
+    assert (taken >= tables.rates[:, LOST] * min(lost, STEEPEST_DESCENT * km) - 1e-12).all()
 
 
 def test_part_of_the_surplus_of_a_descent_returns():
     tables, lost = statistics().get_tables(2), np.array([600.0, 700.0])
     (one, more), _ = tables.compute_leg_energy(np.full(2, 6.0), np.full(2, 600.0), np.zeros(2), lost)
     assert (one < 0.0).all()
-    assert more - one == pytest.approx(RECOVERED_SHARE * 100.0 * tables.descent_energy)
+    assert more - one == pytest.approx(RECOVERED_SHARE * 100.0 * tables.rates[:, LOST])
 
 
 @given(st.integers(0, LEGS), st.floats(0.0, SHIFT + OVERTIME), st.floats(0.0, 10.0), st.booleans())
-def test_end_is_never_before_now_nor_before_planned_legs_can_be_driven(done, passed, driven, riding):
+def test_end_is_never_before_now_nor_before_the_rides_that_are_in_time(done, passed, driven, riding):
     now = BEGIN + passed
     result = ahead(done, now, driven if riding else 0.0, riding=riding)
     rest = remaining(done, driven if riding else None)
+    begun = rest.seconds[:1].sum() if riding else 0.0
     assert result.end[0] >= max(now, BEGIN + SHIFT)
-    assert result.end[0] >= now + rest.seconds.sum() - 1e-6
+    assert result.end[0] >= min(now + rest.seconds.sum(), BEGIN + SHIFT + GRACE) - 1e-6
     assert result.hours[0] == pytest.approx((result.end[0] - now) / 3600.0)
-    assert result.end[0] <= max(BEGIN + SHIFT, now + rest.seconds.sum() + 1e-6)
+    assert result.end[0] <= max(BEGIN + SHIFT + GRACE, now + begun + 1e-6)
+
+
+def test_rides_for_which_no_time_is_left_do_not_come():
+    late = ahead(LEGS - 2, BEGIN + SHIFT + GRACE - 300.0)
+    assert late.km[0] == pytest.approx(0.25 * sum(leg.distance_km for leg in PLAN.legs[-2:]))
+    over = ahead(LEGS - 2, BEGIN + SHIFT + GRACE)
+    assert (over.km[0], over.energy[0]) == (0.0, pytest.approx(0.0))
+
+
+def test_warm_up_is_ahead_as_the_car_wakes():
+    cold, warm = usual(celsius=-10.0, awake_s=0.0), usual(celsius=-10.0, awake_s=7200.0)
+    assert cold.warm_up_energy[0] > 1000.0 * warm.warm_up_energy[0] > 0.0
+
+
+@given(st.floats(0.2, 1.0), st.floats(0.0, 0.2), st.floats(-0.3, 0.3))
+def test_charge_of_a_display_with_a_curve_falls_by_the_energy(soc, energy, curve):
+    after = lower_charge(np.array([soc]), np.array([energy]), np.array([curve]))[0]
+    assert compute_charge_between(soc, after, curve) == pytest.approx(energy, abs=1e-9)
+
+
+def test_plan_that_is_often_left_out_takes_less_energy():
+    parts = np.array([[4.0, 1.0]])
+    seldom = usual()._replace(plan_factor=np.array([[0.75, 1.2]]), plan_spread=np.array([0.04]))
+    expected = seldom.expect_plan(parts)
+    assert (expected.mean[0], expected.sd[0]) == (pytest.approx(4.2), pytest.approx(np.sqrt(0.04 * 4.2)))
 
 
 def test_after_all_legs_the_rest_is_waiting():
     result = ahead(LEGS, BEGIN + SHIFT - 1800.0)
     assert result.km[0] == 0.0
-    assert result.energy[0] == pytest.approx(0.5 * usual().standing_power[0])
+    assert result.energy[0] == pytest.approx(0.5 * usual().standing_power[0], rel=1e-6)
     assert ahead(LEGS + 3, BEGIN + SHIFT - 1800.0).energy == pytest.approx(result.energy)
 
 

@@ -274,12 +274,7 @@ def test_covariance_stays_positive_and_soc_finite_for_any_events(drawn, quantum)
         event["kind"], event["time"] = filter_state.CLOSED if ends else filter_state.RUNNING, time
         event["predicted"], event["metered"], event["meter_time"], event["duration"] = totals
         event["predicted"] = np.nan if predicted is None else totals[0]
-        event["factor"], event["ambient"], event["quantum"], event["capacity"] = (
-            1.0,
-            280.0 * totals[3],
-            quantum,
-            CAPACITY,
-        )
+        event["ambient"], event["quantum"], event["capacity"] = 280.0 * totals[3], quantum, CAPACITY
         event["soc"] = np.nan if reported is None else round(reported / quantum) * quantum
         event["since_charge"] = 0.0 if charging else np.nan
         totals *= not ends

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 
 from socast.core.errors import AskError
+from socast.core.forecast.learning.consumption_terms import WAITING
+from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.forecast.outlook import DEFAULT_RESERVE
 from socast.core.forecast.plan_tracker import LONGEST_SHIFT
 from socast.core.wire.messages import Interval, Leg, Plan, encode
@@ -125,6 +127,7 @@ def test_query_without_plan_equals_forecast_by_history():
 @pytest.mark.parametrize("passed", [RIDE / 2.0, RIDE + 100.0, 4.0 * LEG + 250.0, SHIFT - 20.0])
 def test_queried_ride_equals_a_plan_with_that_ride(passed):
     pipeline, _ = at(passed)
+    pipeline.engine.statistics.plan_outcomes = PlanOutcomes()  # rides of a question are driven, those of plans may not
     rest, answer = left(pipeline), pipeline.ask(CAR, QUERIED_RIDE)
     under_way = passed % LEG < RIDE
     with_it = [*rest.legs[:under_way], QUERIED_RIDE, *rest.legs[under_way:]]
@@ -140,7 +143,7 @@ def test_queried_ride_equals_a_plan_with_that_ride(passed):
 
 @pytest.mark.parametrize("planned", [True, False])
 def test_ride_of_the_length_of_the_range_reaches_the_reserve_with_even_odds(planned):
-    pipeline, published = at(4.0 * LEG + 250.0, planned=planned)
+    pipeline, published = at(4.0 * LEG + RIDE + 100.0, planned=planned)  # between two rides
     km = published[max(published)].range_km
     pace = pipeline.engine.statistics.get_tables(CARS.index(CAR)).ride_pace
 
@@ -150,7 +153,7 @@ def test_ride_of_the_length_of_the_range_reaches_the_reserve_with_even_odds(plan
     assert km.p05 < km.mean < km.p95
     assert risk_of(km.mean) == pytest.approx(0.5, abs=0.1)
     assert risk_of(km.p05) == pytest.approx(0.05, abs=0.05)
-    assert risk_of(km.p95) == pytest.approx(0.95, abs=0.15)  # the spread is that at the mean
+    assert risk_of(km.p95) == pytest.approx(0.95, abs=0.2)  # the spread is that at the mean
 
 
 @pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
@@ -387,6 +390,13 @@ def test_after_all_legs_the_rest_of_the_shift_is_waiting():
     assert answer.shift_end_s == now + 7200.0
 
 
+def pause_for(tables, hours):
+    """Return tables in which an idle period lasts so long on average."""
+    idle = tables.mix.idle.copy()
+    idle[WAITING] = hours * tables.mix.idle_periods
+    return tables._replace(mix=tables.mix._replace(idle=idle))
+
+
 @pytest.mark.parametrize("passed", [60.0, RIDE + 100.0])
 @pytest.mark.parametrize("usual", [0.0, 0.1, 0.4])
 def test_wait_before_a_leg_is_never_longer_than_usual(monkeypatch, passed, usual):
@@ -399,7 +409,7 @@ def test_wait_before_a_leg_is_never_longer_than_usual(monkeypatch, passed, usual
     waits = 3 - tracker.is_riding(lane)
 
     def answer_with(hours, pause):
-        monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=pause))
+        monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: pause_for(tables, pause))
         end = now + driving + 3600.0 * hours * waits
         return pipeline.ask(CAR, None, msgspec.structs.replace(plan, shift_end_s=end))
 
@@ -416,7 +426,7 @@ def test_energy_of_waiting_is_less_certain_than_that_of_driving(monkeypatch):
     pipeline, answers = one_at(RIDE + 100.0), []
     lane, usual = CARS.index(CAR), pipeline.engine.statistics.compute_usual
     now, tables = float(pipeline.engine.state["time"][lane]), pipeline.engine.statistics.get_tables(lane)
-    monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: tables._replace(mean_pause=0.5))
+    monkeypatch.setattr(pipeline.engine.statistics, "get_tables", lambda _: pause_for(tables, 0.5))
     plan = Plan(CAR, now, now + 3.0 * (480.0 + 1800.0), RESERVE, [Leg(4.0, 480.0)] * 3)
     for standing, approach in ((0.0, 0.6), (1.2, 0.0)):
         changed = {"standing_power": np.array([standing]), "approach_energy": np.array([approach])}

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from socast.core.forecast.learning.car_driver import compute_driver_code
+from socast.core.forecast.learning.consumption_terms import WAITING
 from socast.core.forecast.learning.fleet import FleetStatistics
-from socast.core.forecast.learning.ride_stats import LEAST_RIDES
 from tests.support.fleet_days import (
-    CARS,
     DAYS,
     LEG,
     LEGS,
@@ -24,23 +23,19 @@ from tests.support.fleet_days import (
 from tests.support.telemetry import make_message, telemetry
 
 
-def list_sums(statistics):
-    """Return the sums of all vehicle models."""
-    return statistics.rides._sums.values()
-
-
 def count_learned(statistics):
-    """Return the number of rides and of idle periods in the statistics."""
-    sums = list_sums(statistics)
-    return [sum(each.rides for each in sums), sum(each.idle_periods for each in sums)]
+    """Return the number of rides and of idle periods in the sums of the day."""
+    sums = statistics.energies._models.values()
+    return sum(each.today.get("counts") for each in sums) if sums else np.zeros(2)
 
 
 def effective(statistics):
     """Return everything that forecasts read."""
     conformal = statistics.conformal.table.tolist(), statistics.conformal.bounds.tolist()
-    read = statistics.prior.tolist(), statistics._patterns.tolist(), statistics.correction.factor.tolist()
+    plans = statistics.plan_outcomes.factor.tolist(), statistics.plan_outcomes.spread
+    read = statistics.prior.tolist(), statistics._patterns.tolist(), plans, statistics.factors._cold_loss
     cycle = statistics.daily_cycle._since_midnight.tolist()
-    return repr((statistics.rides.tables, conformal, read, cycle))
+    return repr((statistics.get_tables(0), conformal, read, cycle))
 
 
 def test_statistics_take_effect_at_daily_update_and_only_once():
@@ -68,12 +63,15 @@ def test_other_cars_of_the_same_day_change_no_forecast():
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 5])
-def test_tables_are_learned_from_enough_rides_and_forecasts_need_none(number):
+def test_forecasts_need_no_rides_and_become_surer_with_them(number):
     pipeline = trained_pipeline(number)
     made = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
-    enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
-    assert (pipeline.engine.statistics.rides.tables != {}) == enough
     assert {each.soc_end_of_shift_pct is not None for each in list(made.values())[2:]} == {True}
+    first = trained_pipeline(0)
+    first.push([m for _, m in shift("c", 0)])
+    surer, unsure = (each.engine.statistics.get_tables(2).level_sd for each in (pipeline, first))
+    assert (surer <= unsure).all()
+    assert (surer[4] < 0.5 * unsure[4]) == (number > 0)
 
 
 def test_charging_and_silent_idle_periods_do_not_count():
@@ -97,8 +95,8 @@ def test_charging_and_silent_idle_periods_do_not_count():
 
 
 def rests(statistics):
-    """Return the number of idle periods in the statistics, and their total time. [s]"""
-    hours = sum(each.idle_sums.standing["hours"].sum() for each in list_sums(statistics))
+    """Return the number of idle periods in the sums of the day, and their total time. [s]"""
+    hours = sum(each.today.get("idle")[WAITING] for each in statistics.energies._models.values())
     return np.array([count_learned(statistics)[1], 3600.0 * hours])
 
 
@@ -123,7 +121,7 @@ def test_pending_statistics_survive_dump_and_load():
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
     statistics = pipeline.engine.statistics
-    other = FleetStatistics(pipeline.context, pipeline.totals.accumulator.width)
+    other = FleetStatistics(pipeline.context)
     other.load(statistics.dump())
     assert repr(other.dump()) == repr(statistics.dump())
     assert effective(other) == effective(statistics)
@@ -151,3 +149,12 @@ def test_known_driver_changes_the_forecast():
         by_driver[name] = out[max(out)].soc_end_of_shift_pct.mean
     assert by_driver["heavy"] < by_driver[None]
     assert by_driver["heavy"] < by_driver["other"]
+
+
+def test_level_of_the_tables_is_not_learned_of_the_cars_as_well():
+    """A fleet that takes twice what is official has twice the tables, and its cars take what their tables say."""
+    pipeline = trained_pipeline()
+    statistics = pipeline.engine.statistics
+    assert statistics.energies.get_level("nissan-leaf-2013") == pytest.approx(0.06, abs=0.1)
+    means = [statistics.factors.expect(lane).mean for lane in range(6)]
+    assert np.mean(means) == pytest.approx(np.log(24.0 / 21.6), abs=0.08)  # the capacity differs from the catalogue's

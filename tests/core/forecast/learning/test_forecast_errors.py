@@ -6,16 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.forecast.conformal import ConformalIntervals
-from socast.core.forecast.learning.energy_correction import EnergyCorrection
 from socast.core.forecast.learning.forecast_errors import (
     FORECAST_RECORDS,
     LAST_RECORD,
     RECORD_PERIOD,
     ForecastLog,
     ForecastRecord,
+    Outcome,
     compute_shift_errors,
 )
-from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
 
 END = 7200.0
 
@@ -26,7 +25,7 @@ def note(time, end=END, basis=0, mean=0.5, sd=0.02):
 
 def evaluated(forecasts, soc, charged):
     """Return the errors of forecasts."""
-    return compute_shift_errors(np.array(forecasts, FORECAST_RECORDS), soc, charged)
+    return compute_shift_errors(np.array(forecasts, FORECAST_RECORDS), Outcome(soc, charged))
 
 
 def noted(times, end=END, **of):
@@ -48,19 +47,19 @@ def test_forecast_is_recorded_every_ten_minutes_and_at_the_end():
 
 def test_every_record_is_evaluated_against_the_charge_at_the_end():
     log, times = noted(np.arange(0.0, END - 15.0, 15.0))
-    assert log.evaluate_until(0, END - 1.0, 0.47, np.nan) == []
+    assert log.evaluate_until(0, END - 1.0, Outcome(0.47)) == []
     assert log.is_due(np.array([0]), np.array([END])).all()
-    (errors,) = log.evaluate_until(0, END, 0.47, np.nan)
+    (errors,) = log.evaluate_until(0, END, Outcome(0.47))
     assert len(errors.scores) == len(times)
     assert errors.scores == pytest.approx(np.full(len(times), -1.5))
     assert errors.basis == 0
-    assert log.evaluate_until(0, END + 1.0, 0.47, np.nan) == []
-    assert log.evaluate_shift(0, 0.3, np.nan) == []
+    assert log.evaluate_until(0, END + 1.0, Outcome(0.47)) == []
+    assert log.evaluate_shift(0, Outcome(0.3)) == []
 
 
 def test_interrupted_shift_is_evaluated_against_its_last_charge():
     log, times = noted(np.arange(0.0, 3000.0, 15.0))
-    (errors,) = log.evaluate_shift(0, 0.56, np.nan)
+    (errors,) = log.evaluate_shift(0, Outcome(0.56))
     assert errors.scores == pytest.approx(np.full(len(times), 3.0))
     assert log.is_due(np.array([0]), np.array([0.0])).all()
 
@@ -72,7 +71,8 @@ def test_only_forecasts_after_the_last_charging_are_evaluated(charged, times):
 
 
 def test_nothing_is_evaluated_without_a_known_charge():
-    assert evaluated([note(0.0)], np.nan, np.nan) == []
+    (errors,) = evaluated([note(0.0)], np.nan, np.nan)
+    assert len(errors.scores) == 0
 
 
 def shifts_to_empty(rng, lean, began, predicted, taken, n=300):
@@ -80,7 +80,7 @@ def shifts_to_empty(rng, lean, began, predicted, taken, n=300):
     for energy, error in zip(rng.uniform(*predicted, n), rng.normal(size=n), strict=True):
         mean, sd = began - lean * energy, 0.1 * energy
         left = max(began - taken * energy - sd * error, 0.0)
-        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, 16.0, mean, sd, began, energy, 0.0), left
+        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, 16.0, mean, sd), left
 
 
 @pytest.mark.parametrize("predicted", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
@@ -88,7 +88,7 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
     """A forecast below an empty battery is right when the battery ends empty."""
     rng, conformal = np.random.default_rng(5), ConformalIntervals()
     for forecast, left in shifts_to_empty(rng, 1.0, 0.7, predicted, 1.0, 1000):
-        for errors in evaluated([forecast], left, np.nan):
+        for errors in (each for each in evaluated([forecast], left, np.nan) if len(each.scores)):
             conformal.add_shift(errors.basis, errors.ahead_km, errors.ahead_c, errors.scores)
             conformal.apply_daily_update()
     _, (low,), (high,) = conformal.get_quantiles(np.array([0]), np.array([10.0]), np.array([15.0]))[1]
@@ -102,17 +102,15 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
     assert np.mean(inside[False]) > 0.9
 
 
-@pytest.mark.parametrize("taken", [0.85, 1.0, 1.2])
-def test_bias_is_recovered_where_cars_run_empty(taken):
-    rng, correction = np.random.default_rng(6), EnergyCorrection(1)
-    at_16 = compute_knot_weights(np.array([16.0]), TEMPERATURES)[0]
-    for _ in range(300):
-        lean = float(correction.factor[0, 0] @ at_16)
-        for forecast, left in shifts_to_empty(rng, lean, 0.7, (0.3, 1.5), taken, 5):
-            for errors in evaluated([forecast], left, np.nan):
-                correction.add_shift(0, errors.parts)
-        correction.apply_daily_update()
-    assert correction.factor[0, 0] @ at_16 == pytest.approx(taken, abs=0.04)
+def test_what_was_done_of_a_plan_is_known_also_where_the_display_failed():
+    planned = note(600.0)._replace(driving=4.0, waiting=1.0, predicted=2.0, level=0.1)
+    ended = Outcome(0.4, faulty=900.0, predicted=6.6, level=0.0)
+    (errors,) = compute_shift_errors(np.array([planned], FORECAST_RECORDS), ended)
+    assert len(errors.scores) == 0
+    assert (errors.driving, errors.waiting) == (4.0, 1.0)
+    assert errors.done == pytest.approx(6.6 * np.exp(0.1) - 2.0)
+    (charged,) = compute_shift_errors(np.array([planned], FORECAST_RECORDS), ended._replace(charged=700.0))
+    assert np.isnan(charged.done).all()
 
 
 def test_forecasts_by_plan_and_by_history_are_evaluated_separately():
@@ -123,14 +121,14 @@ def test_forecasts_by_plan_and_by_history_are_evaluated_separately():
 
 def test_unknown_forecast_is_not_recorded():
     log, _ = noted([0.0], mean=np.nan)
-    assert log.evaluate_shift(0, 0.5, np.nan) == []
+    assert log.evaluate_shift(0, Outcome(0.5)) == []
 
 
 def test_postponed_plan_is_evaluated_at_each_end():
     log, _ = noted([0.0, 700.0])
     log.record(0, note(1400.0, end=END + 3600.0))
-    (first,) = log.evaluate_until(0, END, 0.5, np.nan)
-    (later,) = log.evaluate_until(0, END + 3600.0, 0.4, np.nan)
+    (first,) = log.evaluate_until(0, END, Outcome(0.5))
+    (later,) = log.evaluate_until(0, END + 3600.0, Outcome(0.4))
     assert (len(first.scores), len(later.scores)) == (2, 1)
 
 
@@ -139,7 +137,7 @@ def test_loaded_state_continues_as_uninterrupted():
     other = ForecastLog()
     other.load(one.dump())
     assert other.dump() == one.dump()
-    assert str(one.evaluate_until(0, END, 0.5, np.nan)) == str(other.evaluate_until(0, END, 0.5, np.nan))
+    assert str(one.evaluate_until(0, END, Outcome(0.5))) == str(other.evaluate_until(0, END, Outcome(0.5)))
 
 
 def test_outcomes_inside_the_published_interval_are_counted_by_basis():
