@@ -297,7 +297,8 @@ class Outlook(Wire, omit_defaults=False):
     usable_capacity_kwh: Annotated[float | None, means("Usable capacity of the battery. [kWh]")]
     usable_capacity_sd_kwh: Annotated[float | None, means("Standard deviation of the usable capacity. [kWh]")]
     consumption_scale: Annotated[
-        float | None, means("Ratio of this car's consumption today to the model's prediction. [1]")
+        float | None,
+        means("Ratio of this car's consumption today to that of its vehicle model at the outside temperature. [1]"),
     ]
     asked: Annotated[LegOutlook | None, means("Candidate ride; null where the query has none.")]
     legs: Annotated[list[LegOutlook], means("Remaining legs of the plan, after the candidate ride.")]

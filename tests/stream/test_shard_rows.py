@@ -72,7 +72,7 @@ def test_a_shard_keeps_of_a_whole_fleets_recording_its_own_cars_and_all_that_the
     pipeline.learn_from(earlier, shard.has)
     assert pipeline.lanes.names == [name for name in earlier.lanes.names if shard.has(name)]
     assert 0 < len(pipeline.lanes) < len(earlier.lanes)
-    assert pipeline.engine.statistics.rides.dump() == earlier.engine.statistics.rides.dump()
+    assert pipeline.engine.statistics.energies.dump() == earlier.engine.statistics.energies.dump()
     again = Pipeline()
     again.restore(pipeline.snapshot())
     assert again.lanes.names == pipeline.lanes.names

@@ -20,7 +20,7 @@ from rich.console import Console
 
 from socast.core import models
 from socast.core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
-from socast.core.evaluate.soc.cases import select_cases
+from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
 from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
 from socast.core.pipeline import Pipeline
@@ -32,6 +32,7 @@ from socast.stream.mcap_writer import McapSink
 from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
+from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.fleets import get_fleet
@@ -55,6 +56,8 @@ PARTS: Final = {
     "preset": ("preset",),
 }
 """Fleets of each part."""
+SOON: Final = 0.5
+"""Time ahead at which forecasts are judged beside those of the evaluation. [h]"""
 BLOCK: Final = 4096
 """Number of messages that the pipeline receives at a time."""
 
@@ -145,9 +148,11 @@ def judge(
     displays = pd.DataFrame(truth.displays) if truth is not None and truth.displays else None
     if displays is not None:
         shifts = replace_outcomes(shifts, displays)
-    selected = select_cases(outlooks, shifts)
-    cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
-    legs = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
+    selected = select_cases(outlooks, shifts, find_wanted(shifts))
+    tables = outlooks, shifts, plans
+    cases, of_cases = selected.cases, (compute_baselines, compute_reference)
+    cases = pd.concat([cases, *(baseline(cases, *tables) for baseline in of_cases)], axis=1)
+    legs = pd.concat([legs, compute_leg_baselines(legs, *tables), compute_reference(legs, *tables)], axis=1)
     charges = select_charge_cases(outlooks, shifts, plans)
     return Judged(
         fleet,
@@ -162,6 +167,14 @@ def judge(
         charges.get("to the charge", pd.DataFrame()),
         charges.get("over the charge", pd.DataFrame()),
     )
+
+
+def find_wanted(shifts: pd.DataFrame) -> pd.DataFrame:
+    """Return the times ahead at which the forecasts of each shift are judged."""
+    ended = normalise_keys(shifts)[[*SHIFT_KEY, "end_s"]]
+    hours = sorted((*HOURS_AHEAD, SOON))
+    wanted = pd.concat([ended.assign(hours=each, wanted_s=ended["end_s"] - 3600.0 * each) for each in hours])
+    return wanted.drop(columns="end_s").reset_index(drop=True)
 
 
 def tabulate(lines: list[Line]) -> list[str]:

@@ -15,6 +15,7 @@ from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
+from socast.tools.bench.soc_reference import REFERENCE
 from socast.tools.simulator.fleets import COLD_SNAP, FLEETS
 
 MAIN: Final = ("autumn", "small", "preset")
@@ -120,13 +121,14 @@ def _pool(judged: Sequence[Judged], name: str) -> pd.DataFrame:
 
 def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
     """Yield error, score, coverage and width, beside those of the baselines."""
-    for hours in (1, AHEAD, 4):
+    for hours in (0.5, 1, AHEAD, 4):
         rows, goals = cases[cases["hours"] == hours], hours == AHEAD
         if len(rows) < FEWEST_SHOWN:
             continue
-        where = f"{hours} h ahead"
-        ours, theirs = _both(rows, REGRESSION)
-        yield _less(fleet, f"{where}: MAE against regression", 0.20 if goals else None, ours, theirs)
+        where = f"{hours:g} h ahead"
+        for baseline, less in ((REGRESSION, 0.20), (REFERENCE, 0.10)):
+            ours, theirs = _both(rows, baseline)
+            yield _less(fleet, f"{where}: MAE against {baseline}", less if goals else None, ours, theirs)
         known = rows.dropna(subset=list(PERSONS))
         if len(known):
             best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
@@ -139,7 +141,7 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
             yield _share(fleet, f"{where}: coverage of regression", None, _held(both, REGRESSION), both)
             wide = float((both["regression_p95"] - both["regression_p05"]).median())
             yield Line(fleet, f"{where}: median width of regression", "", f"{wide:.1f}", "")
-        yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
+        yield _share(fleet, f"{where}: coverage", (0.88, 0.92), _held(rows), rows)
         width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
         most = 9.0 if goals and fleet == "autumn" else None
         verdict = "" if most is None else _verdict(width <= most)
@@ -149,12 +151,16 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
 
 def _check_recording(name: str, cases: pd.DataFrame) -> Iterator[Line]:
     """Yield error, coverage and width of a recording of real cars."""
-    for hours in (1, AHEAD):
-        rows, where = cases[cases["hours"] == hours], f"{hours} h ahead"
-        for baseline in ("rating", REGRESSION):
+    for hours in (0.5, 1, AHEAD):
+        rows, where = cases[cases["hours"] == hours], f"{hours:g} h ahead"
+        for baseline in ("rating", REGRESSION, REFERENCE):
             ours, theirs = _both(rows, baseline)
             yield _less(name, f"{where}: MAE against {baseline}", 0.0, ours, theirs)
-        yield _share(name, f"{where}: coverage", (0.85, 1.0) if hours == 1 else None, _held(rows), rows)
+        if len(rows):
+            yield Line(
+                name, f"{where}: bias", "", f"{float((rows['soc_mean_pct'] - rows['soc_end_pct']).mean()):+.1f}", ""
+            )
+        yield _share(name, f"{where}: coverage", (0.85, 0.93) if hours == 1 else None, _held(rows), rows)
         if len(rows):
             width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
             goal, verdict = ("<= 15", _verdict(width <= 15.0)) if hours == 1 else ("", "")
@@ -162,13 +168,17 @@ def _check_recording(name: str, cases: pd.DataFrame) -> Iterator[Line]:
 
 
 def _check_bands(fleet: str, rows: pd.DataFrame, where: str, goals: bool) -> Iterator[Line]:
-    """Yield the coverage of each band of temperature with enough forecasts."""
+    """Yield coverage, bias and error of each band of temperature with enough forecasts."""
     band = bin_values(rows["ambient_c"].to_numpy(np.float64), TEMPERATURES)
     for code in np.unique(band.codes[band.codes >= 0]).tolist() if goals else ():
         mine = rows[band.codes == code]
         if len(mine) >= FEWEST:
             what = f"{where}: coverage, {band.labels[code]} °C"
             yield _share(fleet, what, (0.85, 1.0), _held(mine), mine)
+            yield _bias(fleet, f"{where}, {band.labels[code]} °C", mine)
+            for baseline in (REGRESSION, REFERENCE):
+                name = f"{where}: MAE against {baseline}, {band.labels[code]} °C"
+                yield _less(fleet, name, 0.0, *_both(mine, baseline))
 
 
 def _check_risk(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
@@ -287,6 +297,11 @@ def _check_over_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
         ours, theirs = _both(rows, "model_mean")
         yield _less(fleet, f"{where}: MAE against a person (planned charge)", 0.40 if goals else None, ours, theirs)
         yield _width(fleet, where, rows)
+
+
+def _bias(fleet: str, where: str, rows: pd.DataFrame) -> Line:
+    """Return the line of the mean error."""
+    return Line(fleet, f"{where}: bias", "", f"{float((rows['soc_mean_pct'] - rows['soc_end_pct']).mean()):+.1f}", "")
 
 
 def _width(fleet: str, where: str, rows: pd.DataFrame) -> Line:

@@ -144,10 +144,9 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
     if outlook.soc_pct is not None:
         yield "now", _now(outlook, zone)
     if outlook.consumption_scale is not None:
-        share = f"{outlook.consumption_scale * 100:.0f} %"
         yield (
             "this car today",
-            f"consumes {share} of what the model predicts once the fleet's rides have corrected it",
+            f"{_compare(outlook.consumption_scale)} is usual for its vehicle model at this temperature",
         )
     if outlook.why_not:
         yield "not known", outlook.why_not
@@ -197,6 +196,16 @@ def _share(risk: float) -> str:
     if risk < 0.01:
         return "under 1 %"
     return "over 99 %" if risk > 0.99 else f"{risk * 100:.0f} %"
+
+
+def _compare(ratio: float) -> str:
+    """Return the text of a consumption over another one.
+
+    >>> _compare(1.213), _compare(0.9), _compare(1.001)
+    ('takes 21 % more than', 'takes 10 % less than', 'takes as much as')
+    """
+    percent = round(100.0 * abs(ratio - 1.0))
+    return f"takes {percent} % {'more' if ratio > 1.0 else 'less'} than" if percent else "takes as much as"
 
 
 def _planned(legs: Sequence[LegOutlook]) -> str:

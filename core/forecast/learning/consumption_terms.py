@@ -71,7 +71,7 @@ COLD_PER_KELVIN: Final = 0.006
 """Growth of the energy per kilometre for each kelvin below that. [1/K]"""
 
 
-class Prior(NamedTuple):
+class CoefficientPrior(NamedTuple):
     """Hold mean and standard deviation of each coefficient before any data, (terms,) float each."""
 
     mean: Floats
@@ -130,7 +130,7 @@ def compute_warm_up_left(awake_s: Floats) -> Floats:
     return replace_nan(np.exp(-np.maximum(awake_s, 0.0) / WARM_UP_DECAY), 0.0)
 
 
-def make_prior(model: VehicleModel, accessory_scale: float) -> Prior:
+def make_prior(model: VehicleModel, accessory_scale: float) -> CoefficientPrior:
     """Return what physics expects of the coefficients of a vehicle model."""
     rated = CONSUMPTION_PER_MASS * model.mass_kg if model.rated_kwh_per_km is None else model.rated_kwh_per_km
     pressure = 0.5 * STANDARD_AIR_DENSITY * (REFERENCE_SPEED / 3.6) ** 2
@@ -157,7 +157,7 @@ def make_prior(model: VehicleModel, accessory_scale: float) -> Prior:
         "warm_up_heating": (0.2 * accessory_scale, 0.3 * accessory_scale),
     }
     mean, sd = np.array([values[name] for name in TERMS]).T
-    return Prior(mean, sd)
+    return CoefficientPrior(mean, sd)
 
 
 @njit(cache=False)

@@ -30,8 +30,8 @@ from socast.core.forecast.learning.consumption_terms import (
     TERMS,
     WAITING,
     WARM_UP,
-    Prior,
-    compute_amounts,
+    CoefficientPrior,
+    compute_stretch_amounts,
 )
 from socast.core.forecast.learning.leg_energy import LegEnergyTables, UsualMix
 from socast.core.forecast.soc_filter import ENERGY_SD
@@ -49,13 +49,16 @@ USUAL_RIDES: Final = 5.0
 """Kilometres of rides, hours of waiting between them, and rides, that the usual mix begins with."""
 _SIZE: Final = len(TERMS)
 
+FindPrior = Callable[[str], CoefficientPrior | None]
+"""Returns what physics expects of a vehicle model, None where that is unknown."""
+
 
 def _make_first_mix() -> UsualMix:
     """Return the usual mix before any rides."""
     rides, idle = np.zeros((1, STRETCH_AMOUNTS)), np.zeros(STRETCH_AMOUNTS)
     one = np.ones(1)
     hours = USUAL_KM * CITY_PACE / 60.0 * one
-    compute_amounts(np.ones(1, np.bool_), USUAL_KM * one, hours, 0.0 * one, 0.0 * one, rides)
+    compute_stretch_amounts(np.ones(1, np.bool_), USUAL_KM * one, hours, 0.0 * one, 0.0 * one, rides)
     idle[WAITING] = USUAL_HOURS
     return UsualMix(rides[0], idle, USUAL_RIDES)
 
@@ -140,7 +143,7 @@ class ModelSums:
         self.today.add("matrix", matrix)
         self.today.add("right", right)
 
-    def apply_daily_update(self, prior: Prior) -> None:
+    def apply_daily_update(self, prior: CoefficientPrior) -> None:
         """Let the rows of the day take effect."""
         if not self.today.get("counts").any():
             return
@@ -154,7 +157,7 @@ class ModelSums:
         if min(energies) > 0.0:
             self.level += float(np.log(energies[0] / energies[1]))
 
-    def solve(self, prior: Prior) -> tuple[Floats, Floats]:
+    def solve(self, prior: CoefficientPrior) -> tuple[Floats, Floats]:
         """Return mean and covariance of the coefficients."""
         precision = np.diag(prior.sd**-2.0)
         covariance = np.asarray(np.linalg.inv(self.known.get("matrix") + precision), np.float64)
@@ -186,26 +189,31 @@ class EnergyRegressions:
     def __init__(self) -> None:
         self._models: dict[str, ModelSums] = {}
 
-    def add(self, models: Sequence[str], rows: StretchRows, get_prior: Callable[[str], Prior]) -> None:
+    def add(self, models: Sequence[str], rows: StretchRows, find_prior: FindPrior) -> None:
         """Add rides and idle periods of cars of vehicle models, in their order."""
         for name in dict.fromkeys(models):
             if name not in self._models:
-                self._models[name] = ModelSums(get_prior(name).mean)
+                if (prior := find_prior(name)) is None:
+                    continue
+                self._models[name] = ModelSums(prior.mean)
             self._models[name].add(rows.rows(np.flatnonzero([model == name for model in models])))
 
-    def apply_daily_update(self, get_prior: Callable[[str], Prior]) -> None:
+    def apply_daily_update(self, find_prior: FindPrior) -> None:
         """Let the rows of the day take effect."""
         for name, sums in self._models.items():
-            sums.apply_daily_update(get_prior(name))
+            if (prior := find_prior(name)) is not None:
+                sums.apply_daily_update(prior)
 
     def get_level(self, model: str) -> float:
         """Return how much the level of a vehicle model has changed since its first tables, as a logarithm."""
         return self._models[model].level if model in self._models else 0.0
 
-    def build_tables(self, model: str, prior: Prior) -> LegEnergyTables:
+    def build_tables(self, model: str, prior: CoefficientPrior) -> LegEnergyTables:
         """Return the tables of a vehicle model, from physics alone where none of its rides is known."""
         sums = self._models.get(model)
-        if sums is None:
+        if (
+            sums is None or not sums.known.get("counts").any()
+        ):  # whenever in a day a car appears, it has the same tables
             return LegEnergyTables.create(prior.mean, np.diag(prior.sd**2.0), FIRST_MIX, 0.0)
         return LegEnergyTables.create(*sums.solve(prior), sums.get_mix(), sums.level)
 

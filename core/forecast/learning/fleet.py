@@ -22,8 +22,8 @@ from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TEMPERATURES,
     WARM_UP,
-    Prior,
-    compute_amounts,
+    CoefficientPrior,
+    compute_stretch_amounts,
     compute_warm_up_left,
     make_prior,
     predict_energy,
@@ -177,7 +177,7 @@ class FleetStatistics:
 
     def apply_daily_update(self) -> None:
         """Let everything that was collected take effect."""
-        self.energies.apply_daily_update(self._get_prior)
+        self.energies.apply_daily_update(self._find_prior)
         self._tables = []
         for energy in self._shifts:
             # what the tables have learned of the level since is not learned of the car as well
@@ -257,17 +257,16 @@ class FleetStatistics:
 
     def _make_tables(self, kind: int) -> LegEnergyTables | None:
         """Return the tables of a kind of car, None for unknown vehicle models."""
-        if self._cars.models[kind] is None:
-            return None
         name = self._cars.name(kind) or ""
-        return self.energies.build_tables(name, self._get_prior(name))
+        prior = None if self._cars.models[kind] is None else self._find_prior(name)
+        return None if prior is None else self.energies.build_tables(name, prior)
 
-    def _get_prior(self, name: str) -> Prior:
-        """Return what physics expects of a vehicle model that a car of this process has, or had."""
-        kind = next(kind for kind in range(len(self._cars.models)) if self._cars.name(kind) == name)
-        model = self._cars.models[kind]
-        assert model is not None
-        return make_prior(model, float(self._cars.parameters_of(np.array([kind])).accessory_scale[0]))
+    def _find_prior(self, name: str) -> CoefficientPrior | None:
+        """Return what physics expects of a vehicle model, None where no catalogue has it any more."""
+        for kind, model in enumerate(self._cars.models):
+            if model is not None and self._cars.name(kind) == name:
+                return make_prior(model, float(self._cars.parameters_of(np.array([kind])).accessory_scale[0]))
+        return None
 
     def _add(self, totals: Totals, fit: NDArray[np.bool_], begin: Floats) -> None:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
@@ -289,7 +288,7 @@ class FleetStatistics:
                 measured.energy[which],
                 measured.sd[which],
             )
-            self.energies.add([self._cars.name(kinds[i]) or "" for i in which.tolist()], rows, self._get_prior)
+            self.energies.add([self._cars.name(kinds[i]) or "" for i in which.tolist()], rows, self._find_prior)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
@@ -354,5 +353,5 @@ def _compute_amounts(totals: Totals) -> Floats:
     km, hours = totals.amount("distance") / 1000.0, totals.amount("duration") / 3600.0
     gained, lost = (replace_nan(totals.amount(name), 0.0) for name in ("gained", "lost"))
     out = np.empty((len(km), STRETCH_AMOUNTS))
-    compute_amounts(totals.ride >= 0, km, hours, gained, lost, out)
+    compute_stretch_amounts(totals.ride >= 0, km, hours, gained, lost, out)
     return out

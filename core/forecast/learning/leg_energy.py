@@ -25,7 +25,7 @@ from socast.core.forecast.learning.consumption_terms import (
     TEMPERATURES,
     WAITING,
     WARM_UP,
-    compute_amounts,
+    compute_stretch_amounts,
     fill_ride_amounts,
 )
 
@@ -136,7 +136,7 @@ class LegEnergyTables(NamedTuple):
         """Energy of a kilometre on a long way that has begun, at the usual pace, (temperatures,). [kWh/km]"""
         way = np.zeros((1, STRETCH_AMOUNTS))
         gained, lost = self.climbs[:, np.newaxis]
-        compute_amounts(np.ones(1, np.bool_), np.ones(1), np.array([self.ride_pace / 60.0]), gained, lost, way)
+        compute_stretch_amounts(np.ones(1, np.bool_), np.ones(1), np.array([self.ride_pace / 60.0]), gained, lost, way)
         way[0, START] = 0.0
         return np.asarray(np.maximum(self.rates @ way[0], LEAST_ENERGY_PER_KM))
 

@@ -83,7 +83,7 @@ def test_figures_are_those_of_outlook():
         "energy": "3.10 kWh (2.70 to 3.60)",
         "then planned": "2 legs, 30 km, 4.0 kWh",
         "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 2024-01-15 12:00 UTC",
-        "this car today": "consumes 104 % of what the model predicts once the fleet's rides have corrected it",
+        "this car today": "takes 4 % more than is usual for its vehicle model at this temperature",
     }
 
 

@@ -14,8 +14,8 @@ from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
     TEMPERATURES,
     TERMS,
-    compute_amounts,
     compute_knot_weights,
+    compute_stretch_amounts,
     make_prior,
 )
 from socast.core.forecast.learning.energy_regression import DAY_SD, EnergyRegressions, ModelSums, StretchRows
@@ -76,7 +76,7 @@ def make_rows(n, seed, cars=4, scale=0.0):
     rng = np.random.default_rng(seed)
     riding, amounts = rng.uniform(size=n) < 0.6, np.empty((n, STRETCH_AMOUNTS))
     km, hours = rng.uniform(0.5, 12.0, n), rng.uniform(0.1, 0.6, n)
-    compute_amounts(riding, np.where(riding, km, 0.3), hours, *rng.uniform(0.0, 60.0, (2, n)), amounts)
+    compute_stretch_amounts(riding, np.where(riding, km, 0.3), hours, *rng.uniform(0.0, 60.0, (2, n)), amounts)
     weights = compute_knot_weights(rng.uniform(-20.0, 30.0, n), TEMPERATURES)
     truth = PRIOR.mean + 0.5 * PRIOR.sd * rng.normal(size=len(TERMS))
     terms = np.einsum("nt,na,tai->ni", weights, amounts, EXPANSION)
@@ -114,7 +114,7 @@ def test_planted_energies_are_recovered(seed):
 def test_deviation_of_a_day_is_integrated_out():
     """The sums equal those of a regression whose rows of a car are correlated."""
     rows, _, terms = make_rows(60, 5, cars=3, scale=0.1)
-    expected = terms @ PRIOR.mean
+    expected = np.maximum(terms @ PRIOR.mean, 0.0)
     rows = rows._replace(energy=1.05 * expected)  # near what is expected, so that no row has less weight
     sums = ModelSums(PRIOR.mean)
     sums.add(rows)
