@@ -187,7 +187,7 @@ def fill_idle_amounts(out: Any, km: float, hours: float) -> None:
 
 
 @njit(cache=True)
-def compute_amounts(riding: Any, km: Any, hours: Any, gained: Any, lost: Any, out: Any) -> None:
+def compute_stretch_amounts(riding: Any, km: Any, hours: Any, gained: Any, lost: Any, out: Any) -> None:
     """Write the amounts of rides and of idle periods, (n, amounts)."""
     for i in range(len(km)):
         if riding[i]:
