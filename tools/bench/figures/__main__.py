@@ -29,6 +29,8 @@ class Measurement(NamedTuple):
 
 
 _BENCH: Final = "socast.tools.bench"
+TWO_FOLDERS: Final = "evaluation", "soc-forecasts"
+"""Measurements that take the folders of two cars, if they are given."""
 REAL_FOLDERS: Final = 3
 """Number of folders of drives that the measurement of real cars takes."""
 MEASUREMENTS: Final = {
@@ -83,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.print("real-cars: left out; it takes --ved, --i3 and --model3", highlight=False)
             continue
         real = folders if name == "real-cars" else []
-        real = folders[:4] if name == "evaluation" and given.ved and given.i3 else real
+        real = folders[:4] if name in TWO_FOLDERS and given.ved and given.i3 else real
         console.print(f"{name}: about {measurement.minutes} min", highlight=False)
         began = time.monotonic()
         words = [sys.executable, "-m", *measurement.words, *real]

@@ -1,6 +1,6 @@
-"""Judge forecasts of the state of charge on simulated fleets of foreign physics, and publish the figures.
+"""Judge forecasts of the state of charge on simulated fleets and real drives, and publish the figures.
 
-Example: python -m socast.tools.bench.figures.soc_forecasts --keep build/soc
+Example: python -m socast.tools.bench.figures.soc_forecasts --keep build/soc --ved ved/ --i3 i3/
 """
 
 import argparse
@@ -14,6 +14,8 @@ from socast.tools.bench.figures.published import publish
 from socast.tools.bench.soc_forecasts import main as judge
 from socast.tools.bench.soc_forecasts import tabulate
 from socast.tools.bench.soc_goals import Line
+from socast.tools.commands.import_drives import collect_drives, write_recording
+from socast.tools.importers.data_sets import DATA_SETS
 
 RUNS: Final = {
     "autumn": ("--fleet", "autumn,trouble", "--seeds", "910"),
@@ -31,13 +33,26 @@ ABOUT: Final = (
     "coverage, those of a single day or of ten shifts by 10 to 20 points."
 )
 """What the table shows."""
+REAL_HOURS: Final = 3.0
+"""Length of the synthetic shifts of real drives. [h]"""
+PERIOD: Final = 3.0
+"""Time between two samples of theirs. [s]"""
+ABOUT_REAL: Final = (
+    "`leaf` is the Nissan Leaf of the Vehicle Energy Dataset (135 rides, 10 months), `i3` the BMW i3 of Munich (31 "
+    f"rides), in synthetic shifts of {REAL_HOURS:g} h. Each is one car whose first shift is forecast without any data "
+    "of it, so the figures are of few shifts: they tell which method is better, not by how much."
+)
+"""What the table of real drives shows."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and publish."""
     parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--keep", type=Path, required=True, help="folder for the lines of each run; used again")
-    keep = parser.parse_args(arguments).keep
+    parser.add_argument("--ved", type=Path, help="folder with the files of the Vehicle Energy Dataset")
+    parser.add_argument("--i3", type=Path, help="folder with the drives of the BMW i3")
+    given = parser.parse_args(arguments)
+    keep = given.keep
     keep.mkdir(parents=True, exist_ok=True)
     lines: list[Line] = []
     for name, words in RUNS.items():
@@ -48,6 +63,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command = "python -m socast.tools.bench.figures.soc_forecasts --keep build/soc"
     shown = [line for line in lines if line.goal or line.what.startswith("2 h ahead")]
     publish("soc-forecasts", command, [ABOUT, "", *tabulate(shown)], list_values(lines))
+    if given.ved and given.i3:
+        real = judge_real_drives(keep, given.ved, given.i3)
+        publish("real-soc", f"{command} --ved ved/ --i3 i3/", [ABOUT_REAL, "", *tabulate(real)], {})
+
+
+def judge_real_drives(keep: Path, ved: Path, i3: Path) -> list[Line]:
+    """Return the lines of the forecasts of real cars, whose rides are concatenated into synthetic shifts."""
+    lines: list[Line] = []
+    for name, data_set, folder in (("leaf", "ved", ved), ("i3", "bmw-i3", i3)):
+        recording, file = keep / f"{name}.mcap", keep / f"{name}.json"
+        write_recording(collect_drives([folder], DATA_SETS[data_set]), recording, PERIOD, REAL_HOURS)
+        judge(["--recording", str(recording), "--json", str(file)])
+        lines += [Line(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
+    return lines
 
 
 def list_values(lines: Sequence[Line]) -> dict[str, str]:
