@@ -36,6 +36,7 @@ REAL_FOLDERS: Final = 3
 MEASUREMENTS: Final = {
     "evaluation": Measurement(5, (f"{_BENCH}.figures.evaluation", "--keep", "build/evaluation")),
     "soc-forecasts": Measurement(15, (f"{_BENCH}.figures.soc_forecasts", "--keep", "build/soc")),
+    "soc-ablation": Measurement(15, (f"{_BENCH}.soc_ablation", "--keep", "build/ablation")),
     "hidden-effects": Measurement(
         25,
         (
