@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.forecast.outlook import OVERTIME
-from socast.core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE, PlanTracker
+from socast.core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE, ActivePlan, PlanTracker
 from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Leg, Plan
 from tests.support.fleet_days import (
     CARS,
     DAY,
@@ -264,3 +265,23 @@ def test_state_whose_legs_have_fewer_energies_is_refused():
         active[4] = [each[: len(each) // 2] for each in active[4]]
     with pytest.raises(ValueError, match="reshape"):
         PlanTracker().load([plans, *others])
+
+
+@pytest.mark.parametrize(
+    ("km", "minutes", "done"),
+    [
+        (5.1, 11.0, 1),  # the next leg, with the errors of a plan
+        (8.3, 16.0, 2),  # the leg after it, whose passenger came
+        (3.1, 7.0, 3),
+        (8.3, 40.0, 1),  # as long, but not as fast: another ride took the place of the next one
+        (20.0, 30.0, 1),
+    ],
+)
+def test_ride_is_the_leg_that_it_is_like(km, minutes, done):
+    legs = [Leg(each, 60.0 * time) for each, time in ((5.0, 10.0), (8.0, 15.0), (3.0, 7.0), (20.0, 30.0))]
+    assert ActivePlan(Plan(CAR, 0.0, 9000.0, RESERVE, legs)).count_done(km, 60.0 * minutes) == done
+
+
+def test_last_legs_are_counted_once():
+    plan = Plan(CAR, 0.0, 9000.0, RESERVE, [Leg(5.0, 600.0)])
+    assert ActivePlan(plan, done=1).count_done(5.0, 600.0) == 1

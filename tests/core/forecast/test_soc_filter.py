@@ -370,3 +370,25 @@ def test_car_of_unknown_model_or_capacity_follows_its_reported_soc():
     assert (np.abs(blind.at("soc", 3) - events["soc"]) < 0.03).all()
     events["capacity"] = np.nan
     assert np.isfinite(run_filter(events).at("soc", 3)).all()
+
+
+def show(correction, begin=200, end=240):
+    """Return the last estimate of a shift whose display is off for some events, and its state."""
+    events, _ = shift(quantum=0.001, exact=True)
+    events["soc"][0, begin:end] += correction
+    result = run_filter(events)
+    return result.estimates[-1], result.state[0]
+
+
+def test_display_that_corrects_itself_is_not_faulty():
+    estimate, state = show(0.02)
+    assert np.isnan(estimate["faulty"])
+    assert np.isnan(state["faulty"])
+
+
+def test_fault_does_not_last_once_the_display_has_recovered():
+    estimate, state = show(-0.2)
+    assert np.isfinite(state["faulty"])
+    assert np.isnan(estimate["faulty"])
+    late, _ = show(-0.2, begin=-40, end=None)
+    assert np.isfinite(late["faulty"])

@@ -221,3 +221,14 @@ def test_stale_charge_excuses_a_contradiction_that_it_explains(stale_fall, contr
     totals.amount("soc_faults")[0], totals.amount("stale_fall")[0] = 1.0, stale_fall
     totals.quality[0, CAUSES.index("soc_stale")] = 1.0
     assert learn(displays, totals).display["contradicted"][0] == contradicted
+
+
+def test_curve_is_learned_without_bias_from_a_coarse_display():
+    """The noise of the fall is in the bend of the charge, too; the energy takes its place there."""
+    curves = []
+    for seed in range(30, 36):
+        rng, displays = np.random.default_rng(seed), DisplayYields(fleet(1))
+        for _ in range(300):
+            learn(displays, ride(rng, curve=0.12, noise=0.004, quantum=0.01))
+        curves.append(float(displays.describe(ride(rng), 1).display["curve"][0]))
+    assert np.mean(curves) == pytest.approx(0.12, abs=0.04)

@@ -38,7 +38,7 @@ def make_judged(fleet, bias=0.0, width=8.0, n=400, change=0.0):
             "charged_s": np.nan, "soc_pct": 90.0, "soc_end_pct": became, "soc_lowest_pct": became,
             "soc_mean_pct": mean, "soc_p05_pct": mean - width / 2, "soc_p95_pct": mean + width / 2,
             "reserve_soc_pct": 10.0, "reserve_risk": 0.01, "regression": theirs, "regression_p05": theirs - 7.0,
-            "regression_p95": theirs + 7.0, "linear": 0.0, "model_mean": 0.0, "rating": 0.0,
+            "regression_p95": theirs + 7.0, "reference": theirs, "linear": 0.0, "model_mean": 0.0, "rating": 0.0,
         }
     )  # fmt: skip
     forecasts = cases[["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]].drop_duplicates("time_s")

@@ -171,3 +171,13 @@ def test_rides_of_the_leaf_become_valid_shifts():
     assert np.nanmax(soc) <= 100.0
     used = sum(shift.drives[0].rows["soc_pct"][0] - shift.drives[-1].rows["soc_pct"][-1] for shift in shifts)
     assert used == pytest.approx(sum(one.rows["soc_pct"][0] - one.rows["soc_pct"][-1] for one in drives), rel=0.02)
+
+
+def test_shift_has_one_weather():
+    """Rides in other weather wait for another shift, and none is lost."""
+    drives = []
+    for number, celsius in enumerate([5.0, -8.0, 8.0, -6.0, 3.0, 25.0, np.nan]):
+        drive = make_drive(number, 86_400.0 * number, minutes=20.0)
+        drives.append(drive._replace(rows={**drive.rows, "ambient_c": np.full(len(drive.elapsed), celsius)}))
+    shifts = [[drive.ride_id for drive in shift.drives] for shift in concatenate_drives(drives, 4.0)]
+    assert shifts == [["ride-0", "ride-2", "ride-4", "ride-6"], ["ride-1", "ride-3"], ["ride-5"]]

@@ -173,3 +173,13 @@ def test_driver_codes_are_unique_and_exact_as_float():
     assert len(codes) == 20_000
     assert all(int(float(code)) == code >= 0 for code in codes)
     assert compute_driver_code("ana") == 136_244_865_965_049
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.004])
+def test_share_that_a_cold_battery_lacks_is_recovered(loss):
+    factors, rng = ConsumptionFactors(), np.random.default_rng(3)
+    for number in range(600):
+        celsius = float(rng.uniform(-20.0, 25.0))
+        ratio = np.exp(loss * max(10.0 - celsius, 0.0) + 0.06 * rng.normal())
+        factors.add_shift(number % 12, None, 20.0, 20.0 * ratio, 40.0, celsius)
+    assert factors.expect_cold_loss(np.array([-10.0, 10.0, np.nan])) == pytest.approx([20.0 * loss, 0.0, 0.0], abs=0.02)
