@@ -14,7 +14,7 @@ import pandas as pd
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.evaluate.soc.cases import SHIFT_KEY
-from socast.core.evaluate.soc.regression import FEWEST_ERRORS, gather_points
+from socast.core.evaluate.soc.regression import FEWEST_ERRORS, find_day_factors, gather_points
 
 REFERENCE: Final = "reference"
 """Name of the baseline, and of its column; its bounds have the endings `_p05` and `_p95`. [%]"""
@@ -94,7 +94,7 @@ def _predict(points: pd.DataFrame) -> Floats:
             ]
             of_car = (CAR_KWH + sums[0]) / (CAR_KWH + sums[1])
         plain = (terms[mine] @ slopes) * of_car[car[mine]]
-        energy = plain * _find_day_factors(points[mine], plain) * points["share"].to_numpy(np.float64)[mine]
+        energy = plain * find_day_factors(points[mine], plain, DAY_KWH) * points["share"].to_numpy(np.float64)[mine]
         variance = np.einsum("ni,ij,nj->n", terms[mine], covariance, terms[mine])
         variance += (SHIFT_SD * energy) ** 2 + ROOT_SD**2 * np.maximum(energy, 0.0)
         sds[mine] = np.hypot(100.0 * np.sqrt(variance) / capacity[mine], READING_SD)
@@ -112,17 +112,6 @@ def _fit(terms: Floats, used: Floats, weight: Floats) -> tuple[Floats, Floats]:
     precision = np.diag(PRIOR_SD**-2.0)
     covariance = np.asarray(np.linalg.inv(precision + weighted.T @ terms), np.float64)
     return covariance @ (precision @ np.ones(3) + weighted.T @ used), covariance
-
-
-def _find_day_factors(points: pd.DataFrame, expected: Floats) -> Floats:
-    """Return the factor of the day at each point: what the car used since the shift began, over what was expected."""
-    begun = points["charged_s"].notna() & (points["time_s"] > points["charged_s"])
-    stock = points["soc_pct"] / 100.0 * points["capacity_kwh"]
-    table = points[SHIFT_KEY].assign(begun=begun, expected=expected, stock=stock)
-    first = table.groupby([*SHIFT_KEY, "begun"], sort=False)[["expected", "stock"]].transform("first")
-    used, so_far = first["stock"] - stock, first["expected"] - expected
-    factor = (DAY_KWH + used.clip(lower=0.0)) / (DAY_KWH + so_far.clip(lower=0.0))
-    return np.asarray(factor.clip(0.5, 2.0), np.float64)
 
 
 def _find_bounds(errors: Floats, fall: Floats, shift: Floats, mean: Floats, soc: Floats, sd: Floats) -> Floats:

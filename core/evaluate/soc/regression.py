@@ -166,7 +166,7 @@ def predict_by_day(points: pd.DataFrame) -> pd.DataFrame:
         slopes = fit_ridge(terms[past], used[past], 1.0 / np.bincount(shift[past])[shift[past]])
         of_car = _find_car_factors(terms[past] @ slopes, used[past], car[past], shift[past], int(car.max()) + 1)
         plain = np.maximum(terms[mine] @ slopes, 0.0) * of_car[car[mine]]
-        ahead = plain * _find_day_factors(points[mine], plain) * points["share"].to_numpy(np.float64)[mine]
+        ahead = plain * find_day_factors(points[mine], plain, DAY_ENERGY) * points["share"].to_numpy(np.float64)[mine]
         expected[mine] = soc[mine] - 100.0 * ahead / capacity[mine]
         ago = past & np.isfinite(expected)
         fall = soc - expected
@@ -215,11 +215,11 @@ def _find_car_factors(expected: Floats, used: Floats, car: Floats, shift: Floats
     return (CAR_ENERGY + energy) / (CAR_ENERGY + np.bincount(car[first], np.maximum(expected[first], 0.0), cars))
 
 
-def _find_day_factors(points: pd.DataFrame, expected: Floats) -> Floats:
+def find_day_factors(points: pd.DataFrame, expected: Floats, pull_kwh: float) -> Floats:
     """Return the factor of the day at each point: what the car used since the shift began, over what was expected.
 
     The energy expected of the time so far is that of what was ahead at the first point, minus that of what is ahead
-    now. A charge begins anew.
+    now. A charge begins anew. `pull_kwh` is the energy that pulls the factor towards 1.
     """
     begun = points["charged_s"].notna() & (points["time_s"] > points["charged_s"])
     stock = points["soc_pct"] / 100.0 * points["capacity_kwh"]
@@ -227,7 +227,7 @@ def _find_day_factors(points: pd.DataFrame, expected: Floats) -> Floats:
     first = table.groupby([*SHIFT_KEY, "begun"], sort=False)[["expected", "stock"]].transform("first")
     used = (first["stock"] - stock).to_numpy(np.float64)
     so_far = (first["expected"] - expected).to_numpy(np.float64)
-    factor = (DAY_ENERGY + np.maximum(used, 0.0)) / (DAY_ENERGY + np.maximum(so_far, 0.0))
+    factor = (pull_kwh + np.maximum(used, 0.0)) / (pull_kwh + np.maximum(so_far, 0.0))
     return np.clip(factor, *DAY_FACTOR)
 
 
