@@ -30,7 +30,7 @@ from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
-from socast.core.totals.display_yield import LANE_YIELD
+from socast.core.totals.display_yield import LANE_YIELD, LARGEST_CURVE
 from socast.core.wire.sample_losses import SAMPLE_LOSS
 from socast.core.wire.state_schema import (
     Anything,
@@ -241,7 +241,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed(
             FILTER_STATE,
             by_lane="predicted",
-            limits={"": Number(-1e15, 1e15), "curve": Number(-0.7, 0.7)},
+            limits={"": Number(-1e15, 1e15), "curve": Number(-LARGEST_CURVE, LARGEST_CURVE)},
             vacant={"active": Number(0.0, 0.0), "shift": Number(-MOST, -1.0)},
         ),
     ),

@@ -187,7 +187,7 @@ class ForecastEngine:
         mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
-        out["lane"], out["time"] = totals.lane, totals.at_last("time")
+        out["lane"], out["time"], out["car_kind"] = totals.lane, totals.at_last("time"), kind
         energies = self.statistics.predict_energies(totals, weights)
         out["predicted"], out["warm_up"], out["level"], out["level_sd"] = energies
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH

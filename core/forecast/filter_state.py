@@ -61,7 +61,8 @@ FILTER_STATE: Final = np.dtype(
         ("ride_distance", "f8"),  # driven in the shift on rides [m]
         ("hours", "f8"),  # awake in the shift [h]
         ("predicted", "f8"),  # energy predicted of the shift since the car departed [kWh]
-        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
+        ("awake_predicted", "f8"),  # energy predicted since it woke, NaN after a gap of `UNSEEN_TIME` [kWh]
+        ("car_kind", "f8"),  # kind of car by which it is predicted
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
@@ -94,6 +95,7 @@ FILTER_EVENT: Final = np.dtype(
         ("time", "f8"),  # [s]
         ("predicted", "f8"),  # energy predicted of the ride or idle period so far [kWh]
         ("warm_up", "f8"),  # energy predicted of the whole warm-up of a shift [kWh]
+        ("car_kind", "f8"),  # kind of car by which it is predicted
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("level_sd", "f8"),  # relative standard deviation of the energy of the usual mix [1]
         ("cold_loss", "f8"),  # logarithm of the capacity that the battery lacks at the outside temperature [1]

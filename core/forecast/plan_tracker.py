@@ -39,8 +39,6 @@ _PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in whic
 
 GetTables = Callable[[int, int], LegEnergyTables | None]
 """Returns the tables of the vehicle model that the car of a lane had at a place in the batch."""
-
-
 LIKE_LEG: Final = 0.3, 0.6
 """Relative difference of distance and of duration up to which a ride may be the next leg. [1]"""
 SAME_LEG: Final = 0.1, 0.25

@@ -90,10 +90,18 @@ class PlannedLegs(NamedTuple):
         legs, energy, begun = self.plan.legs, self.energy.copy(), self.begun_energy.copy()
         if legs and legs[0].distance_km is not None:
             share = float(compute_share_left(np.array([legs[0].distance_km]), np.array([driven_km]))[0])
-            parts = {name: value and share * value for name, value in msgspec.structs.asdict(legs[0]).items()}
-            legs = [Leg(**parts), *legs[1:]]
+            legs = [_take_share(legs[0], share), *legs[1:]]
             energy[0] = begun[0] = share * begun[0]
         return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
+
+    def keep_share(self, share: float, first: int) -> "PlannedLegs":
+        """Return the same legs, where a share of those from an index on is left."""
+        if share == 1.0:
+            return self
+        shares = np.where(np.arange(len(self.km)) < first, 1.0, share)
+        legs = [_take_share(leg, part) for leg, part in zip(self.plan.legs, shares.tolist(), strict=True)]
+        scaled = (shares[:, np.newaxis] * each for each in (self.energy, self.begun_energy))
+        return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), *scaled)
 
     def insert(self, place: int, inserted: "PlannedLegs") -> "PlannedLegs":
         """Return these legs with those of another plan inserted before the leg at an index."""
@@ -185,6 +193,11 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
     is_charge = np.isfinite(legs.charge_to)
     energy[is_charge] = begun_energy[is_charge] = 0.0
     return legs._replace(energy=energy, begun_energy=begun_energy)
+
+
+def _take_share(leg: Leg, share: float) -> Leg:
+    """Return a share of a ride."""
+    return Leg(**{name: value and share * value for name, value in msgspec.structs.asdict(leg).items()})
 
 
 def _get_charge(leg: Leg) -> float:

@@ -70,6 +70,8 @@ CONSUMPTION_WANDER: Final = 0.05
 """Standard deviation of the change of `a` in an hour awake. [1]"""
 RECOVERY_TIME: Final = 1800.0
 """Time after a fault of the display from which its reading is an outcome again. [s]"""
+UNSEEN_TIME: Final = 120.0
+"""Time without telemetry in which a car may have driven, so that what it has done of its plan is unknown. [s]"""
 UNMODELLED_POWER: Final = 5.0
 """Standard deviation of the power of a car without a prediction and without a meter. [kW]"""
 CAPACITY_AGEING: Final = 0.005
@@ -121,7 +123,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity, state.curve = state.log_capacity, event.curve
-    state.level, state.level_sd = event.level, nan
+    state.level, state.level_sd, state.car_kind = event.level, nan, event.car_kind
     state.usual, state.usual_variance = prior.mean, prior.variance
     state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
     state.p_sa, state.p_ac = state.p_sc, state.p_cc
@@ -141,7 +143,7 @@ def add_temperature(state: Any, event: Any) -> None:
 def follow_level(state: Any, event: Any) -> None:
     """Express what the shift has used by the tables of an event, if a daily update has replaced those before."""
     if event.level != state.level and not isnan(event.level):
-        if not isnan(state.level):
+        if not isnan(state.level) and event.car_kind == state.car_kind:  # not of another vehicle model
             change = event.level - state.level
             state.log_consumption = clip(state.log_consumption - change, LARGEST_LOG_CONSUMPTION)
             state.predicted *= exp(change)
@@ -150,6 +152,7 @@ def follow_level(state: Any, event: Any) -> None:
             if event.duration > 0.0:  # of the ride so far, as the new tables predict it
                 state.seen_predicted = event.predicted * min(state.seen_time / event.duration, 1.0)
         state.level = event.level
+    state.car_kind = event.car_kind
 
 
 @njit(cache=True)
@@ -183,6 +186,8 @@ def update_with_totals(state: Any, event: Any) -> None:
         )
         state.ambient = warmth / duration
         state.awake_predicted += 0.0 if isnan(predicted) else predicted
+        if passed - duration > UNSEEN_TIME:
+            state.awake_predicted = nan
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0

@@ -69,6 +69,11 @@ class CarOutlook:
     ----------
     shift_end : float
         Planned end of the shift, NaN without a plan. [s]
+
+    Attributes
+    ----------
+    usable_kwh : float
+        Usable capacity, NaN where unknown. [kWh]
     """
 
     def __init__(self, engine: ForecastEngine, lane: int, shift_end: float) -> None:
@@ -80,6 +85,7 @@ class CarOutlook:
         kinds = cars.of_lane[[lane]]
         self.shift_begin = float(estimate["begin"][0])
         self.estimate = CarEstimate.from_filter(estimate, cars.capacity[kinds])
+        self.usable_kwh = float(self.estimate.capacity[0] * np.exp(self.state["log_capacity"]))
         self.time = float(self.state["time"])
         self.pattern = statistics.get_patterns(np.array([lane]))
         usual_end = self.shift_begin + 3600.0 * self.pattern["hours"]
@@ -111,14 +117,14 @@ class CarOutlook:
         Units: energy [kWh], returns [kWh].
         """
         zero = np.zeros(1)
-        only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
+        only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero, curve=zero)
         end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
         n, energy_km = len(energy.mean), energy.mean / self.usual.energy_per_km
         _, bounds = self.errors.conformal.get_quantiles(np.full(n, basis), energy_km, np.repeat(self.errors.ahead_c, n))
         least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 
         def compute_energy(bound: Floats) -> Floats:
-            return np.asarray(np.maximum(-self.estimate.capacity[0] * (end.mean + end.sd * bound), least))
+            return np.asarray(np.maximum(-self.usable_kwh * (end.mean + end.sd * bound), least))
 
         return IntervalColumns(
             mean=compute_energy(bounds.middle), p05=compute_energy(bounds.upper), p95=compute_energy(bounds.lower)
@@ -132,33 +138,36 @@ class RouteAhead(NamedTuple):
     ----------
     query_place : int or None
         Index of the queried leg, None without one.
-    drives_all : bool
-        Whether all legs are driven, however late, as those of a question are.
     """
 
     legs: PlannedLegs
     in_progress: bool
     query_place: int | None
-    drives_all: bool
 
     @classmethod
     def create(
         cls, left: PlannedLegs, in_progress: bool, leg: Leg | None, now: CarOutlook, *, drives_all: bool
     ) -> "RouteAhead":
-        """Return the rest of a plan, with the queried leg first, but after the leg in progress."""
+        """Return the rest of a plan, with the queried leg first, but after the leg in progress.
+
+        Of a published plan, only the share of the legs counts for which there is time; all of a plan in a question
+        (`drives_all`) are driven, and so is the queried leg.
+        """
+        if not drives_all:
+            left = left.keep_share(float(_schedule(left, in_progress, now).kept[0]), int(in_progress))
         if leg is None:
-            return cls(left, in_progress, None, drives_all)
+            return cls(left, in_progress, None)
         queried = compute_planned_legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
         sure = 1.0 / now.usual.plan_factor[0, 0]  # of plans that share is driven, but the queried leg is driven
         queried = queried._replace(energy=sure * queried.energy, begun_energy=sure * queried.begun_energy)
-        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress), drives_all)
+        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress))
 
     def compute_ahead(self, now: CarOutlook) -> "WayAhead":
         """Return the energy ahead by plan, as for a forecast."""
         time, riding = np.array([now.time]), np.array([self.in_progress])
         progress = self.legs.compute_progress(0.0).reshape(1)
         charging_since = find_charging_since(now.filtered, progress["came"])
-        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since, drives_all=self.drives_all)
+        times = _schedule(self.legs, self.in_progress, now, drives_all=True)
         energy = compute_planned_energy(progress, times, time, riding, now.usual)
         return WayAhead(progress, times, charging_since, energy)
 
@@ -232,6 +241,14 @@ class RouteAhead(NamedTuple):
         return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=_none_if_unknown(risk))
 
 
+def _schedule(legs: PlannedLegs, in_progress: bool, now: CarOutlook, *, drives_all: bool = False) -> PlanTimes:
+    """Return how the rest of a shift is spent with these legs."""
+    progress = legs.compute_progress(0.0).reshape(1)
+    since = find_charging_since(now.filtered, progress["came"])
+    time, riding = np.array([now.time]), np.array([in_progress])
+    return schedule_plan(progress, time, np.zeros(1), riding, since, drives_all=drives_all)
+
+
 class LegTimes(NamedTuple):
     """Hold how the time and the energy ahead are spread over n legs.
 
@@ -270,8 +287,7 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     now = CarOutlook(engine, lane, nan if left is None else left.plan.shift_end_s)
     no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
     in_progress = tracker.is_riding(lane) and left is not None and len(left.km) > 0 and np.isnan(left.charge_to[0])
-    is_question = leg is not None or plan is not None
-    route = RouteAhead.create(left or no_legs, in_progress, leg, now, drives_all=is_question)
+    route = RouteAhead.create(left or no_legs, in_progress, leg, now, drives_all=plan is not None)
     way = route.compute_ahead(now)
     if left is None:
         way = way._replace(energy=_add_history(way.energy, leg is not None, now))
@@ -282,9 +298,10 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     (end_interval,) = ChargeColumns.from_forecast(soc.end).list_intervals()
     (charge,) = ChargeColumns.from_forecast(soc.charge).list_intervals()
     legs = route.compute_leg_outlooks(now, way, soc)
-    capacity = float(now.estimate.capacity[0] * np.exp(now.state["log_capacity"]))
+    capacity = now.usable_kwh
     capacity_sd = capacity * float(np.hypot(np.sqrt(now.state["p_cc"]), METER_GAIN_SD))
-    no_energy = _explain_unknown_energy(left is not None, ahead, lane in tracker.later, now.pattern)
+    ended = plan is None and left is None and lane in tracker.plans
+    no_energy = _explain_unknown_energy(left is not None, ahead, now.pattern, later=lane in tracker.later, ended=ended)
     return Outlook(
         vehicle_id=engine.context.vehicle_ids[lane],
         time_s=now.time,
@@ -310,7 +327,7 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
 
 def _compute_waiting_energy(now: CarOutlook, ahead: EnergyAhead) -> float | None:
     """Return what the car takes of the energy ahead by plan while it drives no leg. [kWh]"""
-    waiting = ahead.planned[:, 1] * now.usual.plan_factor[:, 1]
+    waiting = ahead.planned[:, 1] * now.usual.plan_factor[:, 1] * np.exp(now.state["log_capacity"])
     return _none_if_unknown(float((waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours)))[0]))
 
 
@@ -367,11 +384,14 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhe
     return usual
 
 
-def _explain_unknown_energy(planned: bool, ahead: EnergyAhead, later: bool, pattern: NDArray[np.void]) -> str | None:
+def _explain_unknown_energy(
+    planned: bool, ahead: EnergyAhead, pattern: NDArray[np.void], *, later: bool, ended: bool
+) -> str | None:
     """Return why the energy ahead is unknown; None where it is known."""
     if planned or np.isfinite(ahead.energy[0]):
         return None
-    plan = "the plan that is known is of a later shift" if later else "no plan is known"
+    plan = "the plan that is known has ended; send a new one" if ended else "no plan is known"
+    plan = "the plan that is known is of a later shift" if later else plan
     if np.isfinite(pattern["hours"][0] * pattern["relative_power"][0]):
         return f"{plan}, and this shift is longer than this car's usual shifts"
     return f"{plan}, and this car has ended too few shifts to estimate the rest of this one"

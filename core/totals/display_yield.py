@@ -60,6 +60,8 @@ CURVE_SD: Final = 0.1
 """Standard deviation of the curve b before any data. [1]
 
 Estimated: the percent of a full battery holds up to 20 % more or less than that of an empty one."""
+LARGEST_CURVE: Final = 0.5
+"""Largest curve: a percent of a full battery holds three times as much as one of an empty one. [1]"""
 READING_SDS: Final = 0.001 * 2.0 ** np.arange(6)
 """Standard deviations that the noise of a fall of the charge beyond its quantum may have. [1]
 
@@ -247,7 +249,8 @@ class DisplayYields:
         each = self._infer(self._lanes[lanes], kinds)
         out = create_unknown_yields(len(lanes))
         p = each.probability
-        out["inverse"], out["curve"] = (p * each.k).sum(axis=1), (p * each.b).sum(axis=1)
+        out["inverse"] = (p * each.k).sum(axis=1)
+        out["curve"] = np.clip((p * each.b).sum(axis=1), -LARGEST_CURVE, LARGEST_CURVE)
         off_k, off_b = each.k - out["inverse"][:, np.newaxis], each.b - out["curve"][:, np.newaxis]
         out["inverse_variance"] = (p * (each.variance_k + off_k**2)).sum(axis=1)
         out["covariance"] = (p * (each.covariance + off_k * off_b)).sum(axis=1)

@@ -30,6 +30,8 @@ FLEETS: Final = ("autumn", "autumn-no-shows", "small")
 """Fleets on which parts are left out."""
 AHEAD: Final = 2
 """Time ahead at which forecasts are compared. [h]"""
+CLIMATE: Final = "heating", "cooling", "heating_waiting", "temperature", "start_heating", "warm_up_heating"
+"""Terms of the regression that depend on heating and air conditioning."""
 NOTHING: Final = 1e-9
 """Standard deviation of a coefficient that is 0."""
 _Patches = list[Any]
@@ -73,10 +75,10 @@ def _forget(self: PlanOutcomes) -> None:
 
 PARTS: Final[Mapping[str, tuple[str, Callable[[], _Patches]]]] = {
     "rides": (
-        "the regression stays at what physics expects",
-        _replace(energy_regression.ModelSums, "apply_daily_update", lambda self, _: self.today.clear()),
+        "nothing is learned of rides: energies and the usual mix stay at what physics expects",
+        _replace(energy_regression.ModelSums, "apply_daily_update", lambda self, _: self.forget_day()),
     ),
-    "climate": ("no heating and air conditioning", _fix_terms("heating", "cooling", "heating_waiting")),
+    "climate": ("no heating and air conditioning", _fix_terms(*CLIMATE)),
     "deviations": ("no deviations by pace and temperature", _fix_terms("pace", "temperature")),
     "day effect": (
         "the rides of a day count as independent",
@@ -125,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
         Console().print(rows[-1], highlight=False)
     about = (
         f"Mean absolute error {AHEAD} h ahead in % of charge, and its change where a part is left out, seed "
-        f"{options.seed}. A change of less than 3 % may be chance."
+        f"{options.seed}. Changes of a few per cent are chance."
     )
     command = f"python -m socast.tools.bench.soc_ablation --seed {options.seed} --keep build/ablation"
     publish("soc-ablation", command, [about, "", *write_table(["left out", "the forecasts then", *names], rows)])

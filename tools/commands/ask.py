@@ -23,6 +23,10 @@ LOW_RISK: Final = 0.05
 """Probability of falling below the reserve under which the answer is YES. [1]"""
 HIGH_RISK: Final = 0.5
 """Probability of falling below the reserve above which the answer is NO. [1]"""
+LEAST_KWH: Final = 0.05
+"""Energy of waiting from which it is shown. [kWh]"""
+SURE_CAPACITY: Final = 0.1
+"""Relative standard deviation of the usable capacity below which the consumption of a car is shown. [1]"""
 LONGEST_MIN: Final = LEG_LIMITS["duration_s"].most / 60.0
 """Longest duration of a ride. [min]"""
 LONGEST_S: Final = 3600.0
@@ -138,12 +142,12 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         yield "energy", _format_interval(ride.energy_kwh, "kWh", 2)
     if outlook.legs:
         yield "then planned", _planned(outlook.legs)
-    if outlook.waiting_energy_kwh is not None:
+    if outlook.waiting_energy_kwh is not None and outlook.waiting_energy_kwh >= LEAST_KWH:
         until = "the next charge" if outlook.next_charge else "the end of the shift"
         yield "besides", f"{outlook.waiting_energy_kwh:.1f} kWh for waiting, heating and empty ways until {until}"
     if outlook.soc_pct is not None:
         yield "now", _now(outlook, zone)
-    if outlook.consumption_scale is not None:
+    if outlook.consumption_scale is not None and _knows_capacity(outlook):
         yield (
             "this car today",
             f"{_compare(outlook.consumption_scale)} is usual for its vehicle model at this temperature",
@@ -195,7 +199,15 @@ def _share(risk: float) -> str:
     """
     if risk < 0.01:
         return "under 1 %"
+    if LOW_RISK - 0.005 <= risk < LOW_RISK:
+        return f"under {LOW_RISK * 100:.0f} %"
     return "over 99 %" if risk > 0.99 else f"{risk * 100:.0f} %"
+
+
+def _knows_capacity(outlook: Outlook) -> bool:
+    """Return whether the usable capacity is known so well that it can be told from the consumption."""
+    capacity, sd = outlook.usable_capacity_kwh, outlook.usable_capacity_sd_kwh
+    return capacity is not None and sd is not None and sd < SURE_CAPACITY * capacity
 
 
 def _compare(ratio: float) -> str:

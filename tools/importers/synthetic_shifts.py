@@ -142,9 +142,9 @@ def _group_by_shift(drives: Sequence[Drive], length: float) -> list[list[Drive]]
     shifts: list[list[Drive]] = []
     left = list(drives)
     while left:
-        taken = _choose_rides(left, length)
-        shifts.append([left[place] for place in taken])
-        left = [drive for place, drive in enumerate(left) if place not in set(taken)]
+        taken = set(_choose_rides(left, length))
+        shifts.append([drive for place, drive in enumerate(left) if place in taken])
+        left = [drive for place, drive in enumerate(left) if place not in taken]
     return shifts
 
 
@@ -153,11 +153,12 @@ def _choose_rides(drives: Sequence[Drive], length: float) -> list[int]:
     taken: list[int] = []
     lasted, charge, temperature = -PAUSE, START_SOC, _find_temperature(drives[0])
     for place, drive in enumerate(drives):
-        first, last, least = _charge_range(drive)
+        if taken and (lasted >= length or drive.start - drives[0].start > LONGEST_SPAN):
+            break
         if abs(_find_temperature(drive) - temperature) > LARGEST_TEMPERATURE_CHANGE:
             continue
-        empty = charge - (first - least) < LOWEST_SOC
-        if taken and (lasted >= length or empty or drive.start - drives[0].start > LONGEST_SPAN):
+        first, last, least = _charge_range(drive)
+        if taken and charge - (first - least) < LOWEST_SOC:
             break
         taken.append(place)
         lasted += PAUSE + float(drive.elapsed[-1])

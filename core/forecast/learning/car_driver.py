@@ -27,7 +27,7 @@ CAR_CHANGE_SHIFTS: Final = 60
 """Number of shifts, a quarter's, in which a car may change by `CAR_SD`: tyres, wear, load."""
 DRIVER_CHANGE_SHIFTS: Final = 240
 """Number of shifts, a year's, in which a driver may change by `DRIVER_SD`."""
-COLD_BELOW: Final = 10.0
+COLD_BATTERY: Final = 10.0
 """Temperature below which a battery holds less. [°C]"""
 COLD_LOSS: Final = 0.002
 """Share of its capacity that it lacks for each kelvin below that, before any shift. Estimated. [1/K]"""
@@ -100,7 +100,7 @@ class ConsumptionFactors:
 
     def expect_cold_loss(self, celsius: Any) -> Any:
         """Return the part of the cold, 0 where the temperature is unknown. [1]"""
-        return self._cold_loss.mean * np.fmax(COLD_BELOW - celsius, 0.0)
+        return self._cold_loss.mean * np.fmax(COLD_BATTERY - celsius, 0.0)
 
     def add_shift(
         self,
@@ -109,7 +109,7 @@ class ConsumptionFactors:
         predicted_kwh: float,
         used_kwh: float,
         capacity_kwh: float,
-        ambient_c: float = COLD_BELOW,
+        ambient_c: float = COLD_BATTERY,
         weight: float = 1.0,
     ) -> None:
         """Update the parts of a car, its driver and the cold by a shift.
@@ -125,7 +125,7 @@ class ConsumptionFactors:
         reading_sd = DEFAULT_QUANTUM * capacity_kwh / used_kwh
         total = expected.variance + ENERGY_SD**2 / predicted_kwh + reading_sd**2 / 6.0
         residual = log(used_kwh / predicted_kwh) - expected.mean - float(self.expect_cold_loss(ambient_c))
-        cold, (mean, variance) = max(COLD_BELOW - ambient_c, 0.0), self._cold_loss
+        cold, (mean, variance) = max(COLD_BATTERY - ambient_c, 0.0), self._cold_loss
         gain = cold * variance / (total / weight + cold**2 * variance)
         self._cold_loss = LogFactor(mean + gain * residual, variance - gain * cold * variance)
         self._cars[lane] = _update_part(car, residual, total, CAR_SD, CAR_CHANGE_SHIFTS)

@@ -23,6 +23,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
+from socast.core.forecast.conformal import DAY_MEMORY
 from socast.core.forecast.learning.consumption_terms import (
     CITY_PACE,
     EXPANSION,
@@ -39,8 +40,8 @@ from socast.core.totals.day_sums import DaySums
 
 DAY_SD: Final = 0.12
 """Standard deviation of the energy of a car on a day over that of the fleet: car, driver and day. [1]"""
-DAY_MEMORY: Final = 0.98
-"""Weight of a day's rows one day later."""
+LEAST_SD: Final = 0.02
+"""Least standard uncertainty of a measured energy: a meter of an idle car may show exactly nothing. [kWh]"""
 LARGEST_RESIDUAL_SDS: Final = 4.0
 """A row with a larger residual has less weight: as much as if its residual was this one. [standard deviations]"""
 USUAL_KM: Final = 20.0
@@ -110,11 +111,6 @@ class ModelSums:
         self.known, self.today = DaySums(**shapes), DaySums(**shapes)
         self._cars: dict[int, Floats] = {}  # sums of the day of each lane
 
-    @property
-    def rides(self) -> float:
-        """Return the number of rides, of which older ones count less."""
-        return float(self.known.get("counts")[0])
-
     def add(self, rows: StretchRows) -> None:
         """Add rides and idle periods for the next daily update, in their order."""
         for i, lane in enumerate(rows.lane.tolist()):
@@ -125,7 +121,7 @@ class ModelSums:
             if np.isfinite(energy := float(rows.energy[i])) and np.isfinite(sd := float(rows.sd[i])):
                 predicted = float(terms @ self.mean)
                 expected = max(predicted, 0.0)
-                variance = sd**2 + ENERGY_SD**2 * expected
+                variance = max(sd, LEAST_SD) ** 2 + ENERGY_SD**2 * expected
                 off = abs(energy - predicted) / np.hypot(np.sqrt(variance), DAY_SD * expected)
                 weight = min(1.0, LARGEST_RESIDUAL_SDS / max(off, 1e-9)) / variance
                 self._add_row(lane, terms, expected, energy, weight)
@@ -149,13 +145,17 @@ class ModelSums:
             return
         for name in ("matrix", "right", "terms", "rides", "idle", "counts"):
             self.known.add(name, self.today.get(name) - (1.0 - DAY_MEMORY) * self.known.get(name))
-        self.today.clear()
-        self._cars = {}
+        self.forget_day()
         before, terms = self.mean, self.known.get("terms")
         self.mean = self.solve(prior)[0]
         energies = float(terms @ self.mean), float(terms @ before)
         if min(energies) > 0.0:
             self.level += float(np.log(energies[0] / energies[1]))
+
+    def forget_day(self) -> None:
+        """Drop the rows of the day."""
+        self.today.clear()
+        self._cars = {}
 
     def solve(self, prior: CoefficientPrior) -> tuple[Floats, Floats]:
         """Return mean and covariance of the coefficients."""
@@ -203,6 +203,7 @@ class EnergyRegressions:
         for name, sums in self._models.items():
             if (prior := find_prior(name)) is not None:
                 sums.apply_daily_update(prior)
+            sums.forget_day()
 
     def get_level(self, model: str) -> float:
         """Return how much the level of a vehicle model has changed since its first tables, as a logarithm."""

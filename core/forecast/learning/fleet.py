@@ -257,16 +257,19 @@ class FleetStatistics:
 
     def _make_tables(self, kind: int) -> LegEnergyTables | None:
         """Return the tables of a kind of car, None for unknown vehicle models."""
-        name = self._cars.name(kind) or ""
-        prior = None if self._cars.models[kind] is None else self._find_prior(name)
-        return None if prior is None else self.energies.build_tables(name, prior)
+        prior = self._make_prior(kind)
+        return None if prior is None else self.energies.build_tables(self._cars.name(kind) or "", prior)
+
+    def _make_prior(self, kind: int) -> CoefficientPrior | None:
+        """Return what physics expects of a kind of car, None for unknown vehicle models."""
+        model = self._cars.models[kind]
+        scale = float(self._cars.parameters_of(np.array([kind])).accessory_scale[0])
+        return None if model is None else make_prior(model, scale)
 
     def _find_prior(self, name: str) -> CoefficientPrior | None:
-        """Return what physics expects of a vehicle model, None where no catalogue has it any more."""
-        for kind, model in enumerate(self._cars.models):
-            if model is not None and self._cars.name(kind) == name:
-                return make_prior(model, float(self._cars.parameters_of(np.array([kind])).accessory_scale[0]))
-        return None
+        """Return what physics expects of the first car of a vehicle model, None where no catalogue has it any more."""
+        kinds = (kind for kind in range(len(self._cars.models)) if self._cars.name(kind) == name)
+        return next((prior for kind in kinds if (prior := self._make_prior(kind)) is not None), None)
 
     def _add(self, totals: Totals, fit: NDArray[np.bool_], begin: Floats) -> None:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""

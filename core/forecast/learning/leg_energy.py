@@ -30,7 +30,8 @@ from socast.core.forecast.learning.consumption_terms import (
 )
 
 RECOVERED_SHARE: Final = 0.6
-"""Share of the surplus energy of a descent that returns to the battery. Estimated. [1]"""
+"""Share of the surplus energy of a descent that returns to the battery: of what is beyond the needs of the leg, the
+friction brakes take a part. Estimated. [1]"""
 STEEPEST_DESCENT: Final = 300.0
 """Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
 LEAST_ENERGY_PER_KM: Final = 0.01

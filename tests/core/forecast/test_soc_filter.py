@@ -392,3 +392,19 @@ def test_fault_does_not_last_once_the_display_has_recovered():
     assert np.isnan(estimate["faulty"])
     late, _ = show(-0.2, begin=-40, end=None)
     assert np.isfinite(late["faulty"])
+
+
+def test_energy_of_a_shift_with_a_gap_is_unknown():
+    events, _ = shift()
+    assert np.isfinite(run_filter(events).state["awake_predicted"][0])
+    events["time"][0, 300:] += soc_filter.UNSEEN_TIME + 30.0
+    assert np.isnan(run_filter(events).state["awake_predicted"][0])
+
+
+@pytest.mark.parametrize(("kind", "follows"), [(0.0, True), (7.0, False)])
+def test_level_is_followed_within_a_vehicle_model(kind, follows):
+    events, _ = shift()
+    plain = run_filter(events).state["log_consumption"][0]
+    events["level"][0, -1], events["car_kind"][0, -1] = 0.2, kind
+    changed = run_filter(events).state["log_consumption"][0]
+    assert changed == pytest.approx(plain - 0.2 * follows, abs=0.02)

@@ -102,10 +102,9 @@ def test_query_without_ride_equals_forecast_throughout_the_shift():
 
 
 def test_legs_and_waiting_take_the_energy_by_which_the_charge_falls():
-    nominal = float(one_at(0.0).context.cars.capacity[one_at(0.0).context.cars.of_lane[CARS.index(CAR)]])
     for pipeline, _ in moments():
         answer = pipeline.ask(CAR)
-        fall = 0.01 * (answer.soc_pct - answer.soc_end_of_shift_pct.mean) * nominal
+        fall = 0.01 * (answer.soc_pct - answer.soc_end_of_shift_pct.mean) * answer.usable_capacity_kwh
         legs = sum(leg.energy_kwh.mean for leg in answer.legs)
         assert legs + answer.waiting_energy_kwh == pytest.approx(fall, abs=0.15 + 0.02 * fall)
         assert answer.waiting_energy_kwh >= 0.0

@@ -33,7 +33,7 @@ def arriving(mean: float, risk: float) -> LegOutlook:
     ("risk", "word", "words"),
     [
         (0.0, "YES", "taxi-7 can take 18 km in 25 min and finish above its reserve of 20 %: the risk is under 1 %"),
-        (0.049, "YES", "the risk is 5 %"),
+        (0.049, "YES", "the risk is under 5 %"),
         (0.05, "UNCERTAIN", "taxi-7 may not be able to take 18 km"),
         (0.5, "UNCERTAIN", "the risk is 50 %"),
         (0.51, "NO", "taxi-7 cannot take 18 km in 25 min and finish above its reserve of 20 %: the risk is 51 %"),

@@ -255,3 +255,12 @@ def test_knot_weights_interpolate_between_two_neighbours(values):
     assert (weights >= 0.0).all()
     assert (np.count_nonzero(weights, axis=1) <= 2).all()
     assert weights @ TEMPERATURES == pytest.approx(np.clip(values, TEMPERATURES[0], TEMPERATURES[-1]))
+
+
+def test_meter_that_shows_nothing_leaves_finite_sums():
+    rows, _, _ = make_rows(20, 11)
+    zero = np.zeros(20)
+    sums = ModelSums(-PRIOR.mean)
+    sums.add(rows._replace(energy=zero, sd=zero))
+    assert np.isfinite(sums.today.get("matrix")).all()
+    assert np.isfinite(sums.today.get("right")).all()

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from socast.core.forecast.learning.car_driver import compute_driver_code
-from socast.core.forecast.learning.consumption_terms import WAITING
+from socast.core.forecast.learning.consumption_terms import GAINED, WAITING
 from socast.core.forecast.learning.fleet import FleetStatistics
+from socast.core.pipeline import Pipeline
 from tests.support.fleet_days import (
     DAYS,
     LEG,
     LEGS,
     PERIOD,
     RIDE,
+    SETTINGS,
     columns,
     days,
     forecasts,
@@ -20,7 +22,7 @@ from tests.support.fleet_days import (
     shift,
     trained_pipeline,
 )
-from tests.support.telemetry import make_message, telemetry
+from tests.support.telemetry import leaf, make_message, telemetry
 
 
 def count_learned(statistics):
@@ -158,3 +160,13 @@ def test_level_of_the_tables_is_not_learned_of_the_cars_as_well():
     assert statistics.energies.get_level("nissan-leaf-2013") == pytest.approx(0.06, abs=0.1)
     means = [statistics.factors.expect(lane).mean for lane in range(6)]
     assert np.mean(means) == pytest.approx(np.log(24.0 / 21.6), abs=0.08)  # the capacity differs from the catalogue's
+
+
+@pytest.mark.parametrize("order", ["ab", "ba"])
+def test_cars_of_one_name_have_the_physics_of_their_own_mass(order):
+    masses = {"a": 1000.0, "b": 3000.0}
+    pipeline = Pipeline(settings=SETTINGS)
+    pipeline.push([leaf(car, mass_kg=masses[car]) for car in order])
+    statistics = pipeline.engine.statistics
+    light, heavy = (statistics.get_tables(pipeline.lanes.lane(car)).rates[0, GAINED] for car in "ab")
+    assert heavy == pytest.approx(3.0 * light)
