@@ -124,8 +124,8 @@ class ConsumptionFactors:
         expected, car = self.expect(lane, driver), self.get_car(lane)
         reading_sd = DEFAULT_QUANTUM * capacity_kwh / used_kwh
         total = expected.variance + ENERGY_SD**2 / predicted_kwh + reading_sd**2 / 6.0
-        residual = log(used_kwh / predicted_kwh) - expected.mean - float(self.expect_cold_loss(ambient_c))
         cold, (mean, variance) = max(COLD_BATTERY - ambient_c, 0.0), self._cold_loss
+        residual = log(used_kwh / predicted_kwh) - expected.mean - mean * cold
         gain = cold * variance / (total / weight + cold**2 * variance)
         self._cold_loss = LogFactor(mean + gain * residual, variance - gain * cold * variance)
         self._cars[lane] = _update_part(car, residual, total, CAR_SD, CAR_CHANGE_SHIFTS)

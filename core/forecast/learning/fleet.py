@@ -7,6 +7,7 @@ a forecast depends on the day, and not on which other cars sent samples a moment
 """
 
 from collections.abc import Sequence
+from math import exp
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -179,13 +180,7 @@ class FleetStatistics:
         """Let everything that was collected take effect."""
         self.energies.apply_daily_update(self._find_prior)
         self._tables = []
-        for energy in self._shifts:
-            # what the tables have learned of the level since is not learned of the car as well
-            predicted = energy.predicted_kwh * float(np.exp(self.energies.get_level(energy.model) - energy.level))
-            known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
-            self.factors.add_shift(*known, energy.ambient_c, weigh_day(len(self._shifts)))
-            self._add_pattern(energy, predicted)
-        self._shifts = []
+        self._learn_shifts()
         self.conformal.apply_daily_update()
         self.daily_cycle.apply_daily_update()
         self.charged_soc.apply_daily_update()
@@ -194,13 +189,24 @@ class FleetStatistics:
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
 
-    def _add_pattern(self, energy: ShiftEnergy, predicted_kwh: float) -> None:
-        """Remember the duration of a shift, and its energy by the present tables over that of usual hours."""
-        if (tables := self.get_tables(energy.lane)) is not None:
-            weights = compute_temperature_weights(np.array([energy.ambient_c + ZERO_CELSIUS]))[0]
-            relative_power = predicted_kwh / (float(tables.mean_power @ weights) * energy.hours)
-            if relative_power > 0.0:
+    def _learn_shifts(self) -> None:
+        """Learn the factors of cars and drivers, and the usual pattern of shifts, from those that have ended."""
+        if not self._shifts:
+            return
+        self._update_kinds()
+        kinds = self._cars.of_lane[[energy.lane for energy in self._shifts]]
+        ambient = np.array([energy.ambient_c for energy in self._shifts]) + ZERO_CELSIUS
+        weights = compute_temperature_weights(ambient)
+        power = np.einsum("ij,ij->i", self._rows.mean_power[kinds], weights).tolist()
+        weight = weigh_day(len(self._shifts))
+        for energy, usual_kw in zip(self._shifts, power, strict=True):
+            # what the tables have learned of the level since is not learned of the car as well
+            predicted = energy.predicted_kwh * exp(self.energies.get_level(energy.model) - energy.level)
+            known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
+            self.factors.add_shift(*known, energy.ambient_c, weight)
+            if (relative_power := predicted / (usual_kw * energy.hours)) > 0.0:  # false without tables
                 self.factors.add_pattern(energy.lane, ShiftPattern(energy.hours, relative_power))
+        self._shifts = []
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
         """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""
