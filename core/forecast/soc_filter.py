@@ -34,6 +34,7 @@ from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_
 from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
 from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
 from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
+from socast.core.forecast.learning import consumption_terms
 from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.soc_reading import (
     LEAST_FAULT,
@@ -337,5 +338,5 @@ def write_estimate(state: Any, out: Any) -> None:
     out.departed = 1.0 if state.distance - state.unplugged_distance > DEPARTURE_DISTANCE else 0.0
 
 
-watch_sources(filter_events, charge_stops, filter_state, kalman_update, soc_reading)
-watch_sources(close_shift, charge_stops, filter_state, kalman_update, soc_reading)
+watch_sources(filter_events, charge_stops, consumption_terms, filter_state, kalman_update, soc_reading)
+watch_sources(close_shift, charge_stops, consumption_terms, filter_state, kalman_update, soc_reading)
