@@ -14,8 +14,10 @@ The module allows for this observed behaviour of zenoh 1.10:
 import ipaddress
 import logging
 import re
+import secrets
 import socket
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -34,6 +36,7 @@ STALL_US: Final = 60_000_000
 """Time for which a remote end may stop reading before Zenoh closes its transport. [us]"""
 LINGER_S: Final = 0.5
 """Time given to directly connected nodes to read; no query shows when they have read. [s]"""
+_PORTS: Final = range(16_000, 32_000)  # of services; Linux gives connections those from 32,768, others from 49,152
 _CHECKED: Final = 3  # endpoints that are checked after a failure
 _BARRIER: Final = "socast/barrier"
 """Key of a query that no consumer answers; when the query ends, the router has read everything sent before it."""
@@ -191,10 +194,12 @@ def limit_sizes(largest_bytes: float) -> dict[str, Any]:
 
 
 def find_free_port() -> int:
-    """Return a free TCP port on loopback."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """Return a free TCP port on loopback, none of those that systems give to connections by themselves."""
+    while True:
+        with socket.socket() as probe, suppress(OSError):
+            port = secrets.randbelow(_PORTS.stop - _PORTS.start) + _PORTS.start
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def format_zenoh_error(error: Exception) -> str:

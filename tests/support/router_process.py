@@ -2,17 +2,15 @@
 
 import subprocess
 import sys
-import time
 from typing import Self
 
-from socast.core.errors import SettingsError
 from socast.stream.zenoh_session import Connection, Node, find_free_port
-from tests.support.zenoh_sessions import eventually
 
 ROUTER = """
 import sys, time
 from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(listen=(sys.argv[1],), mode="router")):
+    print("listening", flush=True)
     time.sleep(1e6)
 """
 
@@ -31,27 +29,20 @@ class RouterProcess:
         self.start()
 
     def start(self) -> None:
-        """Start the process; it listens some time later."""
-        self._process = subprocess.Popen([sys.executable, "-c", ROUTER, self.endpoint])
+        """Start the process, and wait until it listens."""
+        command = [sys.executable, "-c", ROUTER, self.endpoint]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "listening\n", f"the router at {self.endpoint} has ended"
 
     def kill(self) -> None:
         """Kill the process; a second call has no effect."""
         self._process.kill()
-        self._process.wait()
+        self._process.communicate()
 
     def join(self) -> Node:
-        """Return a client of the router, once it listens."""
-        nodes: list[Node] = []
-
-        def connect() -> bool:
-            try:
-                nodes.append(Node(Connection(connect=(self.endpoint,))))
-            except SettingsError:  # not yet
-                time.sleep(0.1)
-            return bool(nodes)
-
-        assert eventually(connect)
-        return nodes[0]
+        """Return a client of the router."""
+        return Node(Connection(connect=(self.endpoint,)))
 
     def __enter__(self) -> Self:
         return self
