@@ -32,13 +32,13 @@ class RouterProcess:
         """Start the process, and wait until it listens."""
         command = [sys.executable, "-c", ROUTER, self.endpoint]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
         assert self._process.stdout.readline() == "listening\n", f"the router at {self.endpoint} has ended"
 
     def kill(self) -> None:
         """Kill the process; a second call has no effect."""
         self._process.kill()
-        self._process.communicate()
+        self._process.wait()
+        self._process.stdout.close()
 
     def join(self) -> Node:
         """Return a client of the router."""
