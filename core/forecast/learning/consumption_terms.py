@@ -1,14 +1,15 @@
 """Describe stretches of driving and waiting by the amounts that their energy depends on, and what physics expects.
 
 A stretch is a ride, an idle period or a leg of a plan. Its energy at an outside temperature is linear in its amounts:
-kilometres by pace, kilometres times the square of the mean speed, hours of driving and of waiting, metres climbed and
+kilometres, those with stops, those times the square of the speed, hours of driving and of waiting, metres climbed and
 descended, the beginning of a ride, and the share of the warm-up after the car woke that falls into it. How much each
 amount takes depends on the temperature through few coefficients: air and tyres in the cold, heating, and air
 conditioning. The energy is linear in these coefficients, too, so that a regression of measured energies finds them
 (`socast.core.forecast.learning.energy_regression`).
 
 Before any data, the official consumption of the vehicle model without charging losses is split into air drag, which
-follows from its drag area, and the rest. Heating and air conditioning are those of the reference car.
+follows from its drag area, stops, which follow from its mass, and the rest. Heating and air conditioning are those of
+the reference car.
 """
 
 from math import isnan
@@ -21,35 +22,43 @@ from socast.core.batch import Floats, replace_nan
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from socast.core.vehicles import ACCESSORIES, VehicleModel
 
-PACES: Final = np.array([1.0, 1.5, 2.2, 3.0, 4.3, 7.5, 15.0])
-"""Knots of pace. Time beyond that of the slowest pace is waiting. [min/km]"""
+FASTEST, SLOWEST = 0.4, 15.0
+"""Limits of the pace of driving. Time beyond that of the slowest pace is waiting. [min/km]"""
+FLOWING_SPEED: Final = 100.0
+"""Mean speed from which on there are no stops; below, their number per kilometre grows by the difference. [km/h]"""
 TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])
 """Knots of the outside temperature. [°C]"""
 CITY_PACE: Final = 2.4
 """Time per kilometre that is assumed of the kilometres of idle periods, of which only the sum is known. [min/km]"""
 REFERENCE_SPEED: Final = 50.0
-"""Speed at which the term of the squared speed counts once. [km/h]"""
+"""Mean speed at which the term of the squared speed counts once. [km/h]"""
+UNEVEN_SPEED: Final = 0.25
+"""Variance of the speed over the square of its mean, on rides; faster ones vary as those at `REFERENCE_SPEED`. [1]"""
 WARM_UP_DECAY: Final = 900.0
 """Time constant of the warm-up of cabin and battery after a car woke. [s]"""
 LEAST_KM: Final = 1e-9
 """A shorter distance is none; the time per kilometre would overflow. [km]"""
 
-FAST: Final = len(PACES)
-"""Place of kilometres times squared speed among the amounts. [km]"""
-DRIVING: Final = FAST + 1
+KM: Final = 0
+"""Place of the kilometres among the amounts. [km]"""
+STOPS: Final = KM + 1
+"""Place of the kilometres times the share of stops that their speed lets expect. [km]"""
+FAST: Final = KM + 2
+"""Place of the kilometres times the mean square of the speed. [km]"""
+DRIVING: Final = KM + 3
 """Place of the hours of driving. [h]"""
-WAITING: Final = FAST + 2
+WAITING: Final = KM + 4
 """Place of the hours of waiting. [h]"""
-GAINED: Final = FAST + 3
+GAINED: Final = KM + 5
 """Place of the metres climbed. [m]"""
-LOST: Final = FAST + 4
+LOST: Final = KM + 6
 """Place of the metres descended. [m]"""
-START: Final = FAST + 5
+START: Final = KM + 7
 """Place of the beginnings of rides. [1]"""
-WARM_UP: Final = FAST + 6
+WARM_UP: Final = KM + 8
 """Place of the share of the warm-up of the shift. [1]"""
-STRETCH_AMOUNTS: Final = FAST + 7
-"""Number of amounts of a stretch; the first are the kilometres at each of `PACES`."""
+STRETCH_AMOUNTS: Final = KM + 9
+"""Number of amounts of a stretch."""
 
 DRIVING_SHARE: Final = 0.75
 """Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]
@@ -61,14 +70,16 @@ LEAST_LEVEL: Final = 0.3
 """Least share of the official driving consumption that is not air drag. [1]"""
 EFFICIENCY: Final = 0.85
 """Efficiency from the battery to the wheels. [1]"""
-UNEVEN_SPEED: Final = 1.25
-"""Mean square of the speed over the square of its mean, on rides. [1]"""
+STOP_ENERGY: Final = 4.2e-5
+"""Energy of a kilometre with the most stops over the mass, with what braking returns: 150 kJ/t. [kWh/(km kg)]"""
 RECOVERED_CLIMB: Final = 0.6
 """Share of the energy of a climb that returns on the way down. [1]"""
 COLD_BELOW: Final = 20.0
 """Temperature below which air is denser and tyres are stiffer. [°C]"""
 COLD_PER_KELVIN: Final = 0.006
 """Growth of the energy per kilometre for each kelvin below that. [1/K]"""
+ENERGY_SD: Final = 0.15
+"""Standard deviation of an energy that these terms predict as 1 kWh, before any data; it grows with the root. [kWh]"""
 
 
 class CoefficientPrior(NamedTuple):
@@ -87,7 +98,6 @@ def _split_climate() -> tuple[Floats, Floats]:
 
 _HEATING, _COOLING = _split_climate()
 _COLD: Final = np.maximum(COLD_BELOW - TEMPERATURES, 0.0)
-_KM: Final = slice(0, len(PACES))
 _AWAKE: Final = [DRIVING, WAITING]
 
 
@@ -100,18 +110,15 @@ def _build_terms() -> tuple[tuple[str, ...], Floats]:
         term[:, places] = np.broadcast_to(by_temperature, len(TEMPERATURES))[:, np.newaxis]
         terms.append((name, term))
 
-    add("level", _KM)
-    for place in range(len(PACES)):
-        add("pace", [place])
-    add("cold", _KM, _COLD)
+    add("level", [KM])
+    add("stops", [STOPS])
+    add("cold", [KM], _COLD)
     add("fast", [FAST])
     add("driving", [DRIVING])
     add("waiting", [WAITING])
     add("heating", _AWAKE, _HEATING)
     add("cooling", _AWAKE, _COOLING)
     add("heating_waiting", [WAITING], _HEATING)
-    for knot in range(len(TEMPERATURES)):
-        add("temperature", _AWAKE, np.eye(len(TEMPERATURES))[knot])
     add("gained", [GAINED])
     add("lost", [LOST])
     add("start", [START])
@@ -134,13 +141,15 @@ def make_prior(model: VehicleModel, accessory_scale: float) -> CoefficientPrior:
     """Return what physics expects of the coefficients of a vehicle model."""
     rated = CONSUMPTION_PER_MASS * model.mass_kg if model.rated_kwh_per_km is None else model.rated_kwh_per_km
     pressure = 0.5 * STANDARD_AIR_DENSITY * (REFERENCE_SPEED / 3.6) ** 2
-    drag = UNEVEN_SPEED * pressure * model.drag_area_m2 / EFFICIENCY * 1000.0 / JOULES_PER_KWH
-    level = max(DRIVING_SHARE * rated - drag, LEAST_LEVEL * DRIVING_SHARE * rated)
+    drag = (1.0 + UNEVEN_SPEED) * pressure * model.drag_area_m2 / EFFICIENCY * 1000.0 / JOULES_PER_KWH
+    stops = STOP_ENERGY * model.mass_kg
+    of_cycle = (1.0 - REFERENCE_SPEED / FLOWING_SPEED) * stops
+    level = max(DRIVING_SHARE * rated - drag - of_cycle, LEAST_LEVEL * DRIVING_SHARE * rated)
     climb = model.mass_kg * GRAVITY / EFFICIENCY / JOULES_PER_KWH
     standby, whole = accessory_scale * ACCESSORIES.standby / 1000.0, DRIVING_SHARE * rated
     values = {
         "level": (level, 0.25 * whole),
-        "pace": (0.0, 0.08 * whole),
+        "stops": (stops, 0.5 * stops),
         "cold": (COLD_PER_KELVIN * whole, 0.8 * COLD_PER_KELVIN * whole),
         "fast": (drag, 0.4 * drag),
         "driving": (standby, 0.4),
@@ -148,7 +157,6 @@ def make_prior(model: VehicleModel, accessory_scale: float) -> CoefficientPrior:
         "heating": (accessory_scale, 0.4 * accessory_scale),
         "cooling": (accessory_scale, 0.5 * accessory_scale),
         "heating_waiting": (0.0, 0.25 * accessory_scale),
-        "temperature": (0.0, 0.2),
         "gained": (climb, 0.3 * climb),
         "lost": (-RECOVERED_CLIMB * climb, 0.3 * climb),
         "start": (0.0, 0.05),
@@ -163,16 +171,14 @@ def make_prior(model: VehicleModel, accessory_scale: float) -> CoefficientPrior:
 @njit(cache=False)
 def fill_ride_amounts(out: Any, km: float, hours: float, gained: float, lost: float) -> None:
     """Write the amounts of a ride or leg; unknown climbs count as none."""
-    driving = min(hours, PACES[-1] / 60.0 * km) if km > LEAST_KM else 0.0
-    pace = 60.0 * driving / km if km > LEAST_KM else PACES[-1]
-    pace = min(max(pace, PACES[0]), PACES[-1])
-    knot = 0
-    while knot < len(PACES) - 2 and PACES[knot + 1] <= pace:
-        knot += 1
-    share = (pace - PACES[knot]) / (PACES[knot + 1] - PACES[knot])
+    driving = min(hours, SLOWEST / 60.0 * km) if km > LEAST_KM else 0.0
+    pace = 60.0 * driving / km if km > LEAST_KM else SLOWEST
+    speed = 60.0 / max(pace, FASTEST)
+    square = speed**2 + UNEVEN_SPEED * min(speed, REFERENCE_SPEED) ** 2
     out[:] = 0.0
-    out[knot], out[knot + 1] = (1.0 - share) * km, share * km
-    out[FAST] = km * (60.0 / pace / REFERENCE_SPEED) ** 2
+    out[KM] = km
+    out[STOPS] = km * max(1.0 - speed / FLOWING_SPEED, 0.0)
+    out[FAST] = km * square / ((1.0 + UNEVEN_SPEED) * REFERENCE_SPEED**2)
     out[DRIVING], out[WAITING] = driving, hours - driving
     out[GAINED] = 0.0 if isnan(gained) else gained
     out[LOST] = 0.0 if isnan(lost) else lost

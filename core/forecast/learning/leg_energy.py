@@ -18,8 +18,8 @@ from socast.core.forecast.learning.consumption_terms import (
     DRIVING,
     EXPANSION,
     GAINED,
+    KM,
     LOST,
-    PACES,
     START,
     STRETCH_AMOUNTS,
     TEMPERATURES,
@@ -82,7 +82,7 @@ class LegEnergyTables(NamedTuple):
     def create(cls, mean: Floats, covariance: Floats, mix: UsualMix, level: float) -> "LegEnergyTables":
         """Return the tables of coefficients with a mean, (terms,), and a covariance, (terms, terms)."""
         rates = EXPANSION @ mean
-        rates[:, : len(PACES)] = np.maximum(rates[:, : len(PACES)], LEAST_ENERGY_PER_KM)
+        rates[:, KM] = np.maximum(rates[:, KM], LEAST_ENERGY_PER_KM)
         rates[:, [DRIVING, WAITING]] = np.maximum(rates[:, [DRIVING, WAITING]], LEAST_POWER)
         rates[:, [GAINED, WARM_UP]] = np.maximum(rates[:, [GAINED, WARM_UP]], 0.0)
         parts = np.array([mix.rides, mix.idle])
@@ -115,7 +115,7 @@ class LegEnergyTables(NamedTuple):
     @property
     def energy_per_km(self) -> Floats:
         """Energy of rides and idle periods together, over the kilometres of rides, (temperatures,). [kWh/km]"""
-        return self._compute_mix_energy() / float(self.mix.rides[: len(PACES)].sum())
+        return self._compute_mix_energy() / float(self.mix.rides[KM])
 
     @property
     def mean_power(self) -> Floats:
@@ -130,7 +130,7 @@ class LegEnergyTables(NamedTuple):
     @property
     def ride_pace(self) -> float:
         """Time per kilometre of rides together. [min/km]"""
-        return 60.0 * float(self.mix.rides[DRIVING]) / float(self.mix.rides[: len(PACES)].sum())
+        return 60.0 * float(self.mix.rides[DRIVING]) / float(self.mix.rides[KM])
 
     @property
     def driving_energy_per_km(self) -> Floats:
@@ -144,7 +144,7 @@ class LegEnergyTables(NamedTuple):
     @property
     def climbs(self) -> Floats:
         """Mean climb and descent of rides, (2,). [m/km]"""
-        return self.mix.rides[[GAINED, LOST]] / float(self.mix.rides[: len(PACES)].sum())
+        return self.mix.rides[[GAINED, LOST]] / float(self.mix.rides[KM])
 
     def _compute_mix_energy(self) -> Floats:
         """Return the energy of the usual mix, (temperatures,). [kWh]"""
