@@ -19,7 +19,7 @@ from socast.core.cleaning.kernel import STATE
 from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
 from socast.core.errors import SocastError
-from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
+from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST
@@ -46,7 +46,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 29
+SNAPSHOT: Final = 30
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
@@ -142,13 +142,13 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
 
 
 _REGRESSION: Final = Row(SUMS, SUMS, Many(Row(LANE, _pack(len(TERMS) + 2))), _pack(len(TERMS)), Number(-100.0, 100.0))
-_CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
+_CLASSES: Final = BASES * len(DISTANCE_CLASSES)
 _CONFORMAL: Final = Row(
     SUMS,
     Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
     Row(
         _pack(_CLASSES * len(SCORES), low=0.0),
-        *(_pack(2 * count) for count in (BASES * len(DISTANCE_CLASSES), BASES * len(TEMPERATURE_CLASSES))),
+        _pack(2 * _CLASSES),
         _pack(_CLASSES * len(LEVELS)),
     ),
 )

@@ -2,11 +2,10 @@
 
 A forecast comes with a standard deviation, which says where errors are larger. Their actual size follows from earlier
 forecasts, whatever the distribution: from the quantiles of (outcome - forecast) / standard deviation of forecasts with
-a similar distance ahead and a similar outside temperature. A class of forecasts with few outcomes borrows from the
-classes around it, and all of them from a prior distribution, so that there are intervals from the first day. Only
-forecasts whose outcome is known contribute, so an interval is never evaluated on its own data. Where outcomes fall
-outside of the bounds more or less often than intended, for example when the season changes, the bounds move until the
-rate is right.
+a similar distance ahead. A class of forecasts with few outcomes borrows from the classes around it, and all of them
+from a prior distribution, so that there are intervals from the first day. Only forecasts whose outcome is known
+contribute, so an interval is never evaluated on its own data. Where outcomes fall outside of the bounds more or less
+often than intended, for example when the season changes, the bounds move until the rate is right.
 
 References
 ----------
@@ -18,7 +17,6 @@ prior of given weight. Kish, Survey Sampling, Wiley 1965, section 5.4, on the nu
 cluster.
 """
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final, NamedTuple
 
@@ -41,8 +39,6 @@ BASES: Final = 4
 """Number of bases of a forecast."""
 DISTANCE_CLASSES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
 """Lower limit of each class of the distance that the energy ahead, idle periods included, would usually drive. [km]"""
-TEMPERATURE_CLASSES: Final = (-273.15, -10.0, 0.0, 10.0, 20.0)
-"""Lower limit of each class of the outside temperature. [°C]"""
 LEVELS: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 """Probabilities of the stored quantiles."""
 LOWER_LEVEL: Final = 0.05
@@ -52,7 +48,7 @@ UPPER_LEVEL: Final = 0.95
 ADAPTATION_RATE: Final = 0.1
 """Widening of a bound per shift outside of it; 1/19 of that is taken back per shift inside. [1]"""
 LARGEST_ADAPTATION: Final = 0.5
-"""Largest widening or narrowing of a bound, for a class of distance and again for one of temperature. [1]"""
+"""Largest widening or narrowing of a bound. [1]"""
 SCORES: Final = np.linspace(-8.0, 8.0, 161)
 """Standardised errors at which the outcomes are counted; a larger one counts as the last. [1]"""
 PRIOR_SCALES: Final = 1.25, 1.75, 1.25, 1.25
@@ -64,13 +60,13 @@ PRIOR_SHIFTS: Final = 15.0
 BORROWED_SHIFTS: Final = 25.0
 """Number of shifts whose weight the classes around a class have together, prior included."""
 SHARE_OF_NEXT: Final = 0.5
-"""Weight of a class in what another one borrows, for each class of distance and of temperature between both."""
+"""Weight of a class in what another one borrows, for each class of distance between both."""
 DAY_CORRELATION: Final = 0.3
 """Correlation of the errors of the shifts of a day, which share the weather and the traffic. [1]"""
 DAY_MEMORY: Final = 0.98
 """Weight of a day's shifts one day later."""
 
-_ARRAYS: Final = "_counts", "_widening_by_distance", "_widening_by_temperature", "table"
+_ARRAYS: Final = "_counts", "_widening", "table"
 BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 """A value for each of the two bounds of an interval."""
 
@@ -89,61 +85,51 @@ class ErrorBounds(NamedTuple):
 class ConformalIntervals:
     """Learn standardised errors by class, and provide their quantiles.
 
-    A class is (basis, distance, temperature), where the basis is `BY_PLAN`, `BY_HISTORY`, `TO_CHARGE` or `OVER_CHARGE`.
+    A class is (basis, distance), where the basis is `BY_PLAN`, `BY_HISTORY`, `TO_CHARGE` or `OVER_CHARGE`.
 
     Attributes
     ----------
-    table : (bases, distances, temperatures, levels) float
+    table : (bases, distances, levels) float
         Quantiles of the standardised error. [1]
-    bounds : (bases, distances, temperatures) BOUND_PAIR
+    bounds : (bases, distances) BOUND_PAIR
         Bounds that contain the standardised error with 90 %. [1]
     today : DaySums
         Since the last daily update: number of shifts, scores, and misses beyond the intended share, below and above.
     """
 
     def __init__(self) -> None:
-        self.shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+        self.shape = BASES, len(DISTANCE_CLASSES)
         self._counts = np.zeros((*self.shape, len(SCORES)))
         self.today = DaySums(shifts=(BASES,), scores=(*self.shape, len(SCORES)), missed=(*self.shape, 2))
-        self._widening_by_distance = np.zeros((*self.shape[:2], 2))  # of the lower and of the upper bound
-        self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
+        self._widening = np.zeros((*self.shape, 2))  # of the lower and of the upper bound
         tables, bounds = zip(*map(_compute_first_quantiles, range(BASES)), strict=True)
         self.table, self.bounds = np.stack(tables), np.stack(bounds)
 
-    def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
+    def add_shift(self, basis: int, ahead_km: Floats, scores: Floats) -> None:
         """Count the standardised errors of one shift's forecasts, for the next daily update."""
-        distance, temperature = classify(ahead_km, ambient_c)
+        distance = classify(ahead_km)
         self.today.add("shifts", 1.0, (basis,))
-        for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
-            of_class = scores[(distance == place[0]) & (temperature == place[1])]
-            self.today.add("scores", count_scores(of_class), (basis, *place))
-            bounds = self.bounds[basis, *place]
+        for place in np.unique(distance).tolist():
+            of_class, bounds = scores[distance == place], self.bounds[basis, place]
             missed = np.array([np.mean(of_class < bounds["lower"]), np.mean(of_class > bounds["upper"])])
-            self.today.add("missed", missed - LOWER_LEVEL, (basis, *place))
+            self.today.add("scores", count_scores(of_class), (basis, place))
+            self.today.add("missed", missed - LOWER_LEVEL, (basis, place))
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
         shifts, scores, missed = map(self.today.get, ("shifts", "scores", "missed"))
-        taught = np.flatnonzero(shifts).tolist()
-        for basis in taught:
+        for basis in np.flatnonzero(shifts).tolist():
             weight = weigh_day(int(shifts[basis]))
             self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * scores[basis]
-            for axis, widening in enumerate((self._widening_by_distance, self._widening_by_temperature)):
-                step = ADAPTATION_RATE * weight * missed[basis].sum(axis=1 - axis)
-                widening[basis] = np.clip(widening[basis] + step, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
-        self.today.clear()
-        self._compute_quantiles(taught)
-
-    def _compute_quantiles(self, bases: Sequence[int]) -> None:
-        """Compute the quantiles and bounds of the classes of some bases from their counts."""
-        widening = self._widening_by_distance[:, :, np.newaxis] + self._widening_by_temperature[:, np.newaxis]
-        for basis in bases:
-            found = _compute_class_quantiles(_borrow_counts(basis, self._counts[basis]), widening[basis])
+            widening = self._widening[basis] + ADAPTATION_RATE * weight * missed[basis]
+            self._widening[basis] = np.clip(widening, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
+            found = _compute_class_quantiles(_borrow_counts(basis, self._counts[basis]), self._widening[basis])
             self.table[basis], self.bounds[basis] = found
+        self.today.clear()
 
-    def get_quantiles(self, basis: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, ErrorBounds]:
+    def get_quantiles(self, basis: Ints, ahead_km: Floats) -> tuple[Floats, ErrorBounds]:
         """Return the distribution of the standardised error of each forecast."""
-        place = basis, *classify(ahead_km, ambient_c)
+        place = basis, classify(ahead_km)
         lower, upper = self.bounds["lower"][place], self.bounds["upper"][place]
         return np.asarray(self.table[place]), ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
 
@@ -164,16 +150,14 @@ class ConformalIntervals:
 
 def _borrow_counts(basis: int, counts: Floats) -> Floats:
     """Return the counts of the classes of a basis with what each borrows from the others and from the prior."""
-    by_distance, by_temperature = (_weigh_neighbours(size) for size in counts.shape[:2])
-    around = np.einsum("de,tu,eus->dts", by_distance, by_temperature, counts)
-    around += PRIOR_SHIFTS * _make_prior()[basis]
+    around = _weigh_neighbours(len(counts)) @ counts + PRIOR_SHIFTS * _make_prior()[basis]
     return np.asarray(counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True))
 
 
 def _compute_class_quantiles(counts: Floats, widening: Floats) -> tuple[Floats, Any]:
     """Return the quantiles and the bounds of the classes of a basis."""
-    table, bounds = np.empty((*counts.shape[:2], len(LEVELS))), np.empty(counts.shape[:2], BOUND_PAIR)
-    for place in np.ndindex(bounds.shape):
+    table, bounds = np.empty((len(counts), len(LEVELS))), np.empty(len(counts), BOUND_PAIR)
+    for place in range(len(counts)):
         quantiles = compute_counted_quantiles(counts[place], SCORES, LEVELS)
         low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
         high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])
@@ -185,8 +169,8 @@ def _compute_class_quantiles(counts: Floats, widening: Floats) -> tuple[Floats, 
 @cache
 def _compute_first_quantiles(basis: int) -> tuple[Floats, Any]:
     """Return the quantiles and the bounds of the classes of a basis before the first shift, from the prior alone."""
-    shape = len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
-    return _compute_class_quantiles(_borrow_counts(basis, np.zeros((*shape, len(SCORES)))), np.zeros((*shape, 2)))
+    classes = len(DISTANCE_CLASSES)
+    return _compute_class_quantiles(_borrow_counts(basis, np.zeros((classes, len(SCORES)))), np.zeros((classes, 2)))
 
 
 def check_scores(day: DaySums) -> None:
@@ -230,19 +214,9 @@ def count_scores(scores: Floats) -> Floats:
     return np.asarray(counts / len(scores))
 
 
-def classify(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
-    """Return the classes of distance and temperature of forecasts.
-
-    Parameters
-    ----------
-    ahead_km : (n,) float
-        Distance that the energy ahead would usually drive, NaN counts as 0. [km]
-    ambient_c : (n,) float
-        Outside temperature, NaN counts as 15 °C. [°C]
-    """
-    distance = np.searchsorted(DISTANCE_CLASSES, replace_nan(ahead_km), side="right") - 1
-    temperature = np.searchsorted(TEMPERATURE_CLASSES, replace_nan(ambient_c, 15.0), side="right") - 1
-    return np.maximum(distance, 0), np.maximum(temperature, 0)
+def classify(ahead_km: Floats) -> Ints:
+    """Return the class of each distance that the energy ahead would usually drive [km]; NaN counts as 0."""
+    return np.maximum(np.searchsorted(DISTANCE_CLASSES, replace_nan(ahead_km), side="right") - 1, 0)
 
 
 def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:

@@ -346,7 +346,6 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         basis=int(rows.basis[i]),
         ahead_km=float(rows.energy_km_ahead[i]),
         ambient_c=float(rows.ambient_c[i]),
-        ahead_c=float(rows.ahead_c[i]),
         mean=float(rows.raw_end_soc[i]),
         sd=float(rows.raw_end_soc_sd[i]),
         lower=float(rows.soc_end_of_shift_p05[i]),

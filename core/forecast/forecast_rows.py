@@ -20,7 +20,7 @@ from socast.core.forecast.outlook import (
     schedule_plan,
 )
 from socast.core.forecast.plan_tracker import get_ride_km
-from socast.core.forecast.soc_ahead import LearnedErrors, find_charging_since, forecast_soc_ahead
+from socast.core.forecast.soc_ahead import find_charging_since, forecast_soc_ahead
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.fleet import Cars
 from socast.core.wire.live_fields import LiveField, list_interval_columns, list_live_fields
@@ -85,7 +85,6 @@ class ForecastRows(NamedTuple):
     energy_km_ahead: Floats
     reserve: Floats
     ambient_c: Floats
-    ahead_c: Floats
     shift: Floats
     begin: Floats
     begin_soc: Floats
@@ -195,18 +194,17 @@ def compute_forecast_rows(
         return ForecastRows.join([])
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
     patterns = statistics.get_patterns(running.lane)
-    ahead_c = ambient - ZERO_CELSIUS
     usual = statistics.compute_usual(kind, compute_temperature_weights(ambient), time - estimates["begin"])
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])
     riding, charging_since = running.ride >= 0, find_charging_since(estimates, progress["came"])
     times = schedule_plan(progress, time, get_ride_km(running), riding, charging_since)
     ahead = compute_planned_energy(progress, times, time, riding, usual)
     ahead = fill_from_history(ahead, usual, time - estimates["begin"], time, patterns)
-    errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
-    soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, errors)
+    learned = statistics.conformal, statistics.charged_soc
+    soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, *learned)
     reach = compute_range(estimate, ahead.reserve, usual)
     by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / usual.energy_per_km
-    bounds = statistics.conformal.get_quantiles(by_plan, of_reach, ahead_c)[1]
+    bounds = statistics.conformal.get_quantiles(by_plan, of_reach)[1]
     range_km, range_km_p05, range_km_p95 = (np.maximum(reach.km.mean + reach.km.sd * each, 0.0) for each in bounds)
     return ForecastRows(
         predicted=predicted,
@@ -227,7 +225,6 @@ def compute_forecast_rows(
         energy_km_ahead=soc.end.energy_km,
         reserve=ahead.reserve,
         ambient_c=estimates["ambient"] - ZERO_CELSIUS,
-        ahead_c=ahead_c,
         shift=estimates["shift"],
         begin=estimates["begin"],
         begin_soc=estimates["begin_soc"],

@@ -79,20 +79,6 @@ class SocAhead(NamedTuple):
     charged: CarEstimate | None = None
 
 
-class LearnedErrors(NamedTuple):
-    """Hold what was learned of the errors of forecasts, and the temperature at which it is looked up.
-
-    Parameters
-    ----------
-    ahead_c : (n,) float
-        Outside temperature ahead. [°C]
-    """
-
-    conformal: ConformalIntervals
-    charged_soc: ChargedSoc
-    ahead_c: Floats
-
-
 def find_charging_since(estimates: NDArray[np.void], plan_came: Floats) -> Floats:
     """Return since when cars stand at the charger of the next planned charge, NaN of others, (n,). [s]
 
@@ -108,7 +94,7 @@ def forecast_soc(
     hours: Floats,
     basis: Ints,
     usual: UsualConsumption,
-    errors: LearnedErrors,
+    conformal: ConformalIntervals,
     reserve: Floats,
     most: Floats,
 ) -> SocForecast:
@@ -118,7 +104,7 @@ def forecast_soc(
     """
     raw = compute_end_soc(estimate, energy, hours)
     energy_km = energy.mean / usual.energy_per_km
-    quantiles, bounds = errors.conformal.get_quantiles(basis, energy_km, errors.ahead_c)
+    quantiles, bounds = conformal.get_quantiles(basis, energy_km)
     mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
     high = np.minimum(np.maximum(high, EMPTY_SOC), most)
     return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)
@@ -132,21 +118,21 @@ def forecast_soc_ahead(
     time: Floats,
     charging_since: Floats,
     usual: UsualConsumption,
-    errors: LearnedErrors,
+    conformal: ConformalIntervals,
+    charged_soc: ChargedSoc,
 ) -> SocAhead:
     """Return the forecasts for the end of the shift and for the next planned charge."""
     energy = MeanAndSd(ahead.energy, ahead.sd)
-    first = forecast_soc(estimate, energy, ahead.hours, ahead.basis, usual, errors, ahead.reserve, estimate.soc)
+    first = forecast_soc(estimate, energy, ahead.hours, ahead.basis, usual, conformal, ahead.reserve, estimate.soc)
     unknown = np.full(len(time), np.nan)
     rows = np.flatnonzero(ahead.basis == TO_CHARGE)
     if not len(rows):
         return SocAhead(first, SocForecast(*(unknown for _ in first)), unknown, ahead.basis)
     times, usual = PlanTimes(*(each[rows] for each in times)), UsualConsumption(*(each[rows] for each in usual))
-    progress, errors = progress.take(rows), errors._replace(ahead_c=errors.ahead_c[rows])
-    arrival = MeanAndSd(first.raw_mean[rows], first.raw_sd[rows])
+    progress, arrival = progress.take(rows), MeanAndSd(first.raw_mean[rows], first.raw_sd[rows])
     hours = (times.end - time[rows]) / 3600.0 - times.after
     estimate = CarEstimate(*(each[rows] for each in estimate))
-    charged = estimate_after_charge(estimate, progress["charge_to"], hours, errors.charged_soc)
+    charged = estimate_after_charge(estimate, progress["charge_to"], hours, charged_soc)
     higher = (arrival.mean > charged.soc) & (progress["charges"] == 1.0)
     charged = charged._replace(
         soc=np.where(higher, arrival.mean, charged.soc), variance=np.where(higher, arrival.sd**2, charged.variance)
@@ -157,7 +143,7 @@ def forecast_soc_ahead(
         times.after,
         np.full(len(rows), OVER_CHARGE),
         usual,
-        errors,
+        conformal,
         ahead.reserve[rows],
         np.ones(len(rows)),
     )

@@ -23,7 +23,6 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
-from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import AskError, suggest_names
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
@@ -46,7 +45,6 @@ from socast.core.forecast.plan_checks import find_refusal
 from socast.core.forecast.plan_tracker import LONGEST_SHIFT
 from socast.core.forecast.planned_legs import PlannedLegs, compute_planned_legs
 from socast.core.forecast.soc_ahead import (
-    LearnedErrors,
     SocAhead,
     SocForecast,
     estimate_after_charge,
@@ -97,7 +95,7 @@ class CarOutlook:
         self.tables = statistics.get_tables(lane)
         self.model_name = cars.name(int(kinds[0]))
         self.mean_pause = inf if self.tables is None else self.tables.mean_pause
-        self.errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ambient - ZERO_CELSIUS)
+        self.conformal, self.charged_soc = statistics.conformal, statistics.charged_soc
 
     def forecast(
         self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: int, most: float, reserve: float
@@ -107,9 +105,8 @@ class CarOutlook:
         Units: energy [kWh], hours [h].
         """
         n = len(hours)
-        errors = self.errors._replace(ahead_c=np.repeat(self.errors.ahead_c, n))
         limits = np.full(n, reserve), np.full(n, most)
-        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, errors, *limits)
+        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, self.conformal, *limits)
 
     def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: int) -> IntervalColumns:
         """Return the energy that each leg takes from the battery.
@@ -120,7 +117,7 @@ class CarOutlook:
         only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero, curve=zero)
         end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
         n, energy_km = len(energy.mean), energy.mean / self.usual.energy_per_km
-        _, bounds = self.errors.conformal.get_quantiles(np.full(n, basis), energy_km, np.repeat(self.errors.ahead_c, n))
+        _, bounds = self.conformal.get_quantiles(np.full(n, basis), energy_km)
         least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 
         def compute_energy(bound: Floats) -> Floats:
@@ -216,7 +213,7 @@ class RouteAhead(NamedTuple):
             place, basis, most = charges[number - 1], OVER_CHARGE, 1.0
             hours = np.append(0.0, hours[1:])  # the charge itself is over where the stretch begins
             passed = np.array([float((legs.hours + legs.pause)[: place + 1].sum())])
-            begin = estimate_after_charge(now.estimate, self.legs.charge_to[[place]], passed, now.errors.charged_soc)
+            begin = estimate_after_charge(now.estimate, self.legs.charge_to[[place]], passed, now.charged_soc)
         if number == len(charges) and soc.charged is not None:
             begin = soc.charged
         parts = np.cumsum(np.column_stack([legs.driving, legs.idling])[rows], axis=0)
@@ -293,7 +290,15 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
         way = way._replace(energy=_add_history(way.energy, leg is not None, now))
     ahead = way.energy
     soc = forecast_soc_ahead(
-        now.estimate, ahead, way.progress, way.times, np.array([now.time]), way.charging_since, now.usual, now.errors
+        now.estimate,
+        ahead,
+        way.progress,
+        way.times,
+        np.array([now.time]),
+        way.charging_since,
+        now.usual,
+        now.conformal,
+        now.charged_soc,
     )
     (end_interval,) = ChargeColumns.from_forecast(soc.end).list_intervals()
     (charge,) = ChargeColumns.from_forecast(soc.charge).list_intervals()

@@ -23,7 +23,7 @@ from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, Z
 from socast.core.vehicles import ACCESSORIES, VehicleModel
 
 FASTEST, SLOWEST = 0.4, 15.0
-"""Limits of the pace of driving. Time beyond that of the slowest pace is waiting. [min/km]"""
+"""Limits of the pace of driving: what is faster counts as this, and time beyond the slowest is waiting. [min/km]"""
 FLOWING_SPEED: Final = 100.0
 """Mean speed from which on there are no stops; below, their number per kilometre grows by the difference. [km/h]"""
 TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])

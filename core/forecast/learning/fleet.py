@@ -164,7 +164,7 @@ class FleetStatistics:
             self.plan_outcomes.add_shift(each.driving, each.waiting, each.done)
             if not len(each.scores):
                 continue
-            self.conformal.add_shift(each.basis, each.ahead_km, each.ahead_c, each.scores)
+            self.conformal.add_shift(each.basis, each.ahead_km, each.scores)
             if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
                 self.daily_cycle.add_shift(each.time, each.ambient_c)
             self.interval_outcomes[each.basis] += each.outcomes

@@ -36,8 +36,8 @@ class ForecastRecord(NamedTuple):
         The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
     ahead_km : float
         Distance that the energy ahead would usually drive. [km]
-    ambient_c, ahead_c : float
-        Outside temperature, and its mean expected until the end. [°C]
+    ambient_c : float
+        Outside temperature. [°C]
     mean, sd : float
         Forecast charge and its standard deviation. [1]
     lower, upper : float
@@ -53,7 +53,6 @@ class ForecastRecord(NamedTuple):
     basis: int
     ahead_km: float
     ambient_c: float
-    ahead_c: float
     mean: float
     sd: float
     lower: float = nan
@@ -96,7 +95,7 @@ class ShiftErrors(NamedTuple):
     ----------
     time : (n,) float
         When the forecasts were made. [s]
-    ahead_km, ambient_c, ahead_c : (n,) float
+    ahead_km, ambient_c : (n,) float
     scores : (n,) float
         Standardised errors. [1]
     outcomes : (3,) int
@@ -109,7 +108,6 @@ class ShiftErrors(NamedTuple):
     time: Floats
     ahead_km: Floats
     ambient_c: Floats
-    ahead_c: Floats
     scores: Floats
     outcomes: Ints
     driving: Floats
@@ -233,7 +231,6 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
                 judged["time"],
                 judged["ahead_km"],
                 judged["ambient_c"],
-                judged["ahead_c"],
                 (soc - judged["mean"]) / judged["sd"],
                 count_outcomes(judged["lower"], judged["upper"], soc),
                 of_basis["driving"],

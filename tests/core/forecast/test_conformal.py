@@ -11,7 +11,6 @@ from socast.core.forecast.conformal import (
     LEVELS,
     LOWER_LEVEL,
     SCORES,
-    TEMPERATURE_CLASSES,
     UPPER_LEVEL,
     ConformalIntervals,
     classify,
@@ -21,24 +20,24 @@ from socast.core.forecast.outlook import MeanAndSd, compute_reserve_risk
 from socast.core.stats.conformal import compute_counted_quantiles
 
 BOUND_LEVELS = LOWER_LEVEL, UPPER_LEVEL
-PLACE = (0, 3, 3)
-HERE = (np.array([0]), np.array([10.0]), np.array([15.0]))
-"""A basis, a distance and a temperature of that class."""
+PLACE = (0, 3)
+HERE = (np.array([0]), np.array([10.0]))
+"""A basis and a distance of that class."""
 
 
-def learned(shifts, conformal=None, each=3, km=10.0, celsius=15.0, kind=0, nightly=10):
+def learned(shifts, conformal=None, each=3, km=10.0, kind=0, nightly=10):
     """Learn from shifts whose forecasts share one error, with a daily update after every `nightly` shifts."""
     conformal = conformal or ConformalIntervals()
     for number, score in enumerate(shifts):
-        conformal.add_shift(kind, np.full(each, km), np.full(each, celsius), np.full(each, score))
+        conformal.add_shift(kind, np.full(each, km), np.full(each, score))
         if (number + 1) % nightly == 0:
             conformal.apply_daily_update()
     conformal.apply_daily_update()
     return conformal
 
 
-def bounds_at(conformal, km, celsius, kind=0):
-    bounds = conformal.get_quantiles(np.array([kind]), np.array([km]), np.array([celsius]))[1]
+def bounds_at(conformal, km, kind=0):
+    bounds = conformal.get_quantiles(np.array([kind]), np.array([km]))[1]
     return np.array([bounds.lower[0], bounds.upper[0]])
 
 
@@ -62,10 +61,10 @@ def test_interval_covers_nine_in_ten_while_learning():
         for day in range(40):
             scores = 0.6 * rng.normal() + rng.normal(size=(10, 3))
             if day > 12:
-                low, high = bounds_at(conformal, 10.0, 15.0)
+                low, high = bounds_at(conformal, 10.0)
                 results.append(np.mean((scores >= low) & (scores <= high)))
             for mine in scores:
-                conformal.add_shift(0, np.full(3, 10.0), np.full(3, 15.0), mine)
+                conformal.add_shift(0, np.full(3, 10.0), mine)
             conformal.apply_daily_update()
     assert 0.88 <= np.mean(results) <= 0.92
 
@@ -73,10 +72,10 @@ def test_interval_covers_nine_in_ten_while_learning():
 def test_bounds_widen_when_errors_double():
     rng = np.random.default_rng(5)
     conformal, inside = learned(rng.normal(size=400)), []
-    low, high = bounds_at(conformal, 10.0, 15.0)
+    low, high = bounds_at(conformal, 10.0)
     for _ in range(60):
         scores = 2.0 * rng.normal(size=10)
-        lower, higher = bounds_at(conformal, 10.0, 15.0)
+        lower, higher = bounds_at(conformal, 10.0)
         inside.append(np.mean((scores >= lower) & (scores <= higher)))
         conformal = learned(scores, conformal)
     assert lower < 1.3 * low
@@ -101,26 +100,26 @@ def test_missed_bound_widens_and_recovers():
 
 @pytest.mark.parametrize("kind", [0, 1])
 def test_intervals_before_any_shift_are_those_of_the_prior(kind):
-    low, high = bounds_at(ConformalIntervals(), 10.0, 15.0, kind)
+    low, high = bounds_at(ConformalIntervals(), 10.0, kind)
     assert low == pytest.approx(-high)
     assert 1.645 < high < 4.0
 
 
 def test_few_shifts_change_the_intervals_little():
-    before, after = bounds_at(ConformalIntervals(), 10.0, 15.0), bounds_at(learned([0.0, 0.1]), 10.0, 15.0)
+    before, after = bounds_at(ConformalIntervals(), 10.0), bounds_at(learned([0.0, 0.1]), 10.0)
     assert after == pytest.approx(before, rel=0.1)
 
 
 def test_class_with_few_shifts_borrows_from_neighbours_but_not_from_other_basis():
     rng = np.random.default_rng(7)
-    prior = bounds_at(ConformalIntervals(), 10.0, 15.0, kind=1)
+    prior = bounds_at(ConformalIntervals(), 10.0, kind=1)
     conformal = learned(rng.normal(size=200))
-    conformal = learned(5.0 * rng.normal(size=200), conformal, celsius=-20.0)
-    near = bounds_at(conformal, 10.0, 25.0)
-    assert bounds_at(conformal, 10.0, -5.0)[1] > 1.3 * near[1]
-    assert bounds_at(conformal, 10.0, 15.0, kind=1) == pytest.approx(prior)
-    alone = learned(0.1 * rng.normal(size=800), conformal, celsius=25.0)
-    assert bounds_at(alone, 10.0, 25.0)[1] < 0.7 * near[1]
+    conformal = learned(5.0 * rng.normal(size=200), conformal, km=0.1)
+    near = bounds_at(conformal, 50.0)
+    assert bounds_at(conformal, 4.0)[1] > 1.3 * near[1]
+    assert bounds_at(conformal, 10.0, kind=1) == pytest.approx(prior)
+    alone = learned(0.1 * rng.normal(size=800), conformal, km=50.0)
+    assert bounds_at(alone, 50.0)[1] < 0.7 * near[1]
 
 
 def test_shifts_of_one_day_count_as_few():
@@ -145,19 +144,15 @@ def test_counted_scores_keep_their_number_and_mean(scores):
     assert counts @ SCORES == pytest.approx(np.mean(scores), abs=1e-9)
 
 
-@given(st.floats(0.0, 500.0), st.floats(-60.0, 60.0))
-def test_every_forecast_has_a_class(km, celsius):
-    distance, temperature = (int(place[0]) for place in classify(np.array([km]), np.array([celsius])))
+@given(st.floats(0.0, 500.0))
+def test_every_forecast_has_a_class(km):
+    (distance,) = classify(np.array([km])).tolist()
     assert DISTANCE_CLASSES[distance] <= km
-    assert TEMPERATURE_CLASSES[temperature] <= celsius
     assert distance == len(DISTANCE_CLASSES) - 1 or km < DISTANCE_CLASSES[distance + 1]
-    assert temperature == len(TEMPERATURE_CLASSES) - 1 or celsius < TEMPERATURE_CLASSES[temperature + 1]
 
 
-def test_unknown_distance_and_temperature_have_a_class():
-    distance, temperature = classify(np.array([np.nan, -1.0]), np.array([np.nan, -300.0]))
-    assert distance.tolist() == [0, 0]
-    assert temperature.tolist() == [3, 0]
+def test_unknown_distance_has_a_class():
+    assert classify(np.array([np.nan, -1.0])).tolist() == [0, 0]
 
 
 @given(seed=st.integers(0, 1000), mean=st.floats(0.0, 1.0), sd=st.floats(0.001, 0.2))
@@ -195,7 +190,7 @@ def test_risk_is_nan_for_unknown_charge_or_errors():
 
 def test_loaded_state_continues_as_uninterrupted():
     rng = np.random.default_rng(8)
-    one, other = learned(rng.normal(size=500), celsius=-5.0), ConformalIntervals()
+    one, other = learned(rng.normal(size=500)), ConformalIntervals()
     other.load(one.dump())
     more = rng.normal(size=60)
     assert repr(learned(more, one).dump()) == repr(learned(more, other).dump())

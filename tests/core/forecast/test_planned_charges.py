@@ -153,7 +153,7 @@ def test_errors_until_a_charge_are_those_of_the_reading_before_it():
     add = conformal.add_shift
     conformal.add_shift = lambda basis, *rest: seen.append((basis, *rest)) or add(basis, *rest)
     run([each for each in stream() if each[0] > BEGIN + ARRIVES + 30.0], pipeline=pipeline)
-    (scores,) = [rest[2] for basis, *rest in seen if basis == TO_CHARGE]
+    (scores,) = [rest[1] for basis, *rest in seen if basis == TO_CHARGE]
     outcomes = to_charge["mean"] + scores * to_charge["sd"]
     assert outcomes == pytest.approx(np.full(len(scores), arrival), abs=0.0051)  # a step later than the last forecast
 

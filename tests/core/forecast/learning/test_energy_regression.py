@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from socast.core.forecast.learning.consumption_terms import (
     COLD_BELOW,
+    DRIVING,
     EXPANSION,
+    KM,
     LOST,
     STRETCH_AMOUNTS,
     TEMPERATURES,
@@ -210,11 +212,22 @@ def test_uphill_takes_more_and_downhill_less_energy(km, climb):
 @given(st.floats(0.5, 20.0), st.floats(60.0, 300.0))
 def test_unknown_climb_counts_as_usual(km, pace):
     rides = tables().mix.rides.copy()
-    rides[LOST - 1 : LOST + 1] = np.array([7.0, 5.0]) * rides[:7].sum()
+    rides[LOST - 1 : LOST + 1] = np.array([7.0, 5.0]) * rides[KM]
     known = tables()._replace(mix=tables().mix._replace(rides=rides))
     kwh = energy(km, pace * km, known=known)
     assert kwh == pytest.approx(energy(km, pace * km, 7.0 * km, 5.0 * km, known=known))
     assert (kwh < energy(km, pace * km, 9.0 * km, 5.0 * km, known=known)).all()
+
+
+def test_air_outweighs_stops_on_a_fast_way():
+    """Before any data, stops and air balance at moderate speeds, and air dominates on a motorway."""
+    first = EnergyRegressions().build_tables(MODEL, PRIOR)
+    driving = first.rates[:, DRIVING]
+    city, even, fast = (
+        energy(10.0, 36000.0 / speed, 0.0, 0.0, first) - driving * 10.0 / speed for speed in (20.0, 55.0, 110.0)
+    )
+    assert city == pytest.approx(even, rel=0.15)
+    assert (fast > 1.3 * even).all()
 
 
 def test_leg_of_standing_takes_standing_power():

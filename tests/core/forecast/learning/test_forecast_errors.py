@@ -20,7 +20,7 @@ END = 7200.0
 
 
 def note(time, end=END, basis=0, mean=0.5, sd=0.02):
-    return ForecastRecord(time, end, basis, 10.0, 15.0, 16.0, mean, sd)
+    return ForecastRecord(time, end, basis, 10.0, 15.0, mean, sd)
 
 
 def evaluated(forecasts, soc, charged):
@@ -80,7 +80,7 @@ def shifts_to_empty(rng, lean, began, predicted, taken, n=300):
     for energy, error in zip(rng.uniform(*predicted, n), rng.normal(size=n), strict=True):
         mean, sd = began - lean * energy, 0.1 * energy
         left = max(began - taken * energy - sd * error, 0.0)
-        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, 16.0, mean, sd), left
+        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, mean, sd), left
 
 
 @pytest.mark.parametrize("predicted", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
@@ -89,9 +89,9 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
     rng, conformal = np.random.default_rng(5), ConformalIntervals()
     for forecast, left in shifts_to_empty(rng, 1.0, 0.7, predicted, 1.0, 1000):
         for errors in (each for each in evaluated([forecast], left, np.nan) if len(each.scores)):
-            conformal.add_shift(errors.basis, errors.ahead_km, errors.ahead_c, errors.scores)
+            conformal.add_shift(errors.basis, errors.ahead_km, errors.scores)
             conformal.apply_daily_update()
-    _, (low,), (high,) = conformal.get_quantiles(np.array([0]), np.array([10.0]), np.array([15.0]))[1]
+    _, (low,), (high,) = conformal.get_quantiles(np.array([0]), np.array([10.0]))[1]
     assert -1.645 - 0.35 < low < -1.0  # errors below are cut off where the battery is empty
     assert high == pytest.approx(1.645, abs=0.35)
     inside = {True: [], False: []}
