@@ -18,6 +18,7 @@ Gelman et al., Bayesian Data Analysis, 3rd edition, section 14.8, ISBN 978-1-439
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -54,18 +55,15 @@ FindPrior = Callable[[str], CoefficientPrior | None]
 """Returns what physics expects of a vehicle model, None where that is unknown."""
 
 
-def _make_first_mix() -> UsualMix:
-    """Return the usual mix before any rides."""
+@cache
+def make_first_mix() -> UsualMix:
+    """Return the usual mix before any rides, which the sums of rides complete."""
     rides, idle = np.zeros((1, STRETCH_AMOUNTS)), np.zeros(STRETCH_AMOUNTS)
     one = np.ones(1)
     hours = USUAL_KM * CITY_PACE / 60.0 * one
     compute_stretch_amounts(np.ones(1, np.bool_), USUAL_KM * one, hours, 0.0 * one, 0.0 * one, rides)
     idle[WAITING] = USUAL_HOURS
     return UsualMix(rides[0], idle, USUAL_RIDES)
-
-
-FIRST_MIX: Final = _make_first_mix()
-"""Usual mix before any rides, which the sums of rides complete."""
 
 
 class StretchRows(NamedTuple):
@@ -165,9 +163,10 @@ class ModelSums:
 
     def get_mix(self) -> UsualMix:
         """Return the usual mix of rides and idle periods, without the warm-up of their shifts."""
-        rides, idle = FIRST_MIX.rides + self.known.get("rides"), FIRST_MIX.idle + self.known.get("idle")
+        first = make_first_mix()
+        rides, idle = first.rides + self.known.get("rides"), first.idle + self.known.get("idle")
         rides[WARM_UP] = idle[WARM_UP] = 0.0
-        return UsualMix(rides, idle, FIRST_MIX.idle_periods + float(self.known.get("counts")[1]))
+        return UsualMix(rides, idle, first.idle_periods + float(self.known.get("counts")[1]))
 
     def dump(self) -> Any:
         """Return the state as plain values."""
@@ -215,7 +214,7 @@ class EnergyRegressions:
         if (
             sums is None or not sums.known.get("counts").any()
         ):  # whenever in a day a car appears, it has the same tables
-            return LegEnergyTables.create(prior.mean, np.diag(prior.sd**2.0), FIRST_MIX, 0.0)
+            return LegEnergyTables.create(prior.mean, np.diag(prior.sd**2.0), make_first_mix(), 0.0)
         return LegEnergyTables.create(*sums.solve(prior), sums.get_mix(), sums.level)
 
     def dump(self) -> Any:

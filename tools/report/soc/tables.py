@@ -56,7 +56,7 @@ LEG_BASELINES: Final = ("model_mean", "rating", "regression")
 """Baselines that apply to legs."""
 LEG_NOTE: Final = (
     "Each car is queried at most every half hour. Each leg of the answer is compared with the ride that "
-    "followed, unless the car charged before its end. Plans do not state charging: later time at a "
+    "followed, unless the car charged before its end. Where a plan states no charge, later time at a "
     "charger counts as waiting."
 )
 BEST_NOTE: Final = (
