@@ -1,0 +1,155 @@
+"""Sum rides to car-days: the consumption of each car on each date over what a model predicts, and its usable capacity.
+
+A series is a grid of cars by dates of the logarithm of a factor, with a variance of two parts: the same for every day,
+and one that falls with the amount that was measured. `socast.core.condition.level_model` estimates both.
+
+Cars of a fleet share the weather of a date and whatever the model lacks of it. Where a date has measurements of several
+cars, the mean of the others is taken off each of them, so that the series of a car is its deviation from its siblings.
+"""
+
+from datetime import date
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
+from socast.core.evaluate.compare.models import ComparedRides
+
+LEAST_DATES: Final = 6
+"""Number of dates below which nothing is told of a condition."""
+LEAST_KWH: Final = 1.0
+"""Least predicted energy of a car-day. [kWh]"""
+LEAST_FALL: Final = 10.0
+"""Least fall of the display over the rides of a car-day from which its capacity is estimated. [%]"""
+LEAST_SIBLINGS: Final = 2
+"""Least number of other cars with a measurement on a date whose mean is taken off."""
+LARGEST_FACTOR: Final = 3.0
+"""A car-day with a larger factor, or one below its inverse, is none: its energy was not measured. [1]"""
+MILD_C: Final = 10.0
+"""Outside temperature below which a battery holds less. [°C]"""
+
+
+class Series(NamedTuple):
+    """Hold logarithms of a factor of n cars on t dates.
+
+    Parameters
+    ----------
+    dates : (t,) int
+        Ordinals of the dates, ascending.
+    value : (n, t) float
+        Logarithm of the factor, NaN where it was not measured. [1]
+    amount : (n, t) float
+        What the noise falls with: the variance of a value is one part plus another one over the amount.
+    extra : (n, t) float
+        Further variance that is known. [1]
+    """
+
+    dates: Ints
+    value: Floats
+    amount: Floats
+    extra: Floats
+
+    def compute_variance(self, of_day: float, of_amount: float) -> Floats:
+        """Return the variance of each value. [1]"""
+        return np.asarray(of_day + of_amount / np.maximum(self.amount, 1e-9) + self.extra)
+
+
+class CarDays(NamedTuple):
+    """Hold the car-days of n cars.
+
+    Parameters
+    ----------
+    cars, models : (n,) list of str
+        Name and vehicle model of each car.
+    nominal_kwh : (n,) float
+        Usable capacity by the catalogue. [kWh]
+    consumption : Series
+        Measured over predicted energy; its amount is the predicted energy [kWh].
+    capacity : Series
+        Usable capacity over that of the catalogue; its amount is the square of the fall of the display over the number
+        of rides [%^2].
+    cold : (n, t) float
+        How much colder than `MILD_C` a car-day was, by its energy. [K]
+    """
+
+    cars: list[str]
+    models: list[str]
+    nominal_kwh: Floats
+    consumption: Series
+    capacity: Series
+    cold: Floats
+
+
+def gather_car_days(compared: ComparedRides, label: str) -> CarDays:
+    """Return the car-days of rides that a model of this label predicts."""
+    rides = compared.rides
+    car, cars = pd.factorize(rides["vehicle_id"].astype(str), sort=True)
+    ordinal = np.array([date.fromisoformat(str(each)).toordinal() for each in rides["date"]])
+    dates, at = np.unique(ordinal, return_inverse=True)
+    if len(dates) < LEAST_DATES:
+        raise ModelError(f"the rides are of {len(dates)} dates, and a condition takes {LEAST_DATES}: give more days")
+    shape = len(cars), len(dates)
+
+    def total(values: Floats) -> Floats:
+        return np.asarray(np.bincount(car * shape[1] + at, values, shape[0] * shape[1]).reshape(shape))
+
+    measured, predicted = total(compared.measured), total(compared.predicted[label])
+    factor = np.divide(measured, predicted, out=np.full(shape, np.nan), where=predicted >= LEAST_KWH)
+    zero = np.zeros(shape)
+    first = rides.groupby(car, sort=True)
+    nominal = first["nominal_capacity_kwh"].first().to_numpy(np.float64)
+    energy = rides["energy_vi_kwh"].to_numpy(np.float64)
+    fall = (rides["soc_start_pct"] - rides["soc_end_pct"]).to_numpy(np.float64)
+    known = np.isfinite(energy) & np.isfinite(fall)
+    falls, used, number = (total(np.where(known, each, 0.0)) for each in (fall, energy, np.ones(len(fall))))
+    whole = np.divide(100.0 * used, falls, out=np.full(shape, np.nan), where=falls >= LEAST_FALL)
+    ambient = np.nan_to_num(rides["ambient_c"].to_numpy(np.float64), nan=MILD_C)
+    weight = compared.measured
+    cold = total(np.maximum(MILD_C - ambient, 0.0) * weight) / np.maximum(total(weight), 1e-9)
+    return CarDays(
+        list(map(str, cars)),
+        list(map(str, first["vehicle_model"].first())),
+        nominal,
+        Series(dates, _take_logarithm(factor), predicted, zero),
+        Series(dates, _take_logarithm(whole / nominal[:, np.newaxis]), falls**2 / np.maximum(number, 1.0), zero),
+        cold,
+    )
+
+
+def _take_logarithm(factor: Floats) -> Floats:
+    """Return the logarithms of factors that a car can have, NaN for others."""
+    possible = (factor > 1.0 / LARGEST_FACTOR) & (factor < LARGEST_FACTOR)
+    return np.log(factor, out=np.full(factor.shape, np.nan), where=possible)
+
+
+def subtract_siblings(series: Series, models: list[str], of_day: float, of_amount: float) -> tuple[Series, Series]:
+    """Return the deviation of each car from the other cars of its vehicle model, and the mean of each vehicle model.
+
+    The deviations keep the level of the car. A value without enough siblings on its date stays as it is. The means are
+    a series with a row for each vehicle model, in the order of `sorted(set(models))`.
+    """
+    level = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else 0.0 for row in series.value])
+    apart = series.value - level[:, np.newaxis]
+    weight = np.where(np.isfinite(apart), 1.0 / series.compute_variance(of_day, of_amount), 0.0)
+    filled = np.where(np.isfinite(apart), apart, 0.0)
+    value, extra = series.value.copy(), series.extra.copy()
+    names = sorted(set(models))
+    means, amounts = (np.full((len(names), len(series.dates)), fill) for fill in (np.nan, 1.0))
+    spread = np.zeros_like(means)
+    for k, name in enumerate(names):
+        rows = np.array([each == name for each in models])
+        sums, squares = weight[rows].sum(axis=0), (weight[rows] * filled[rows]).sum(axis=0)
+        means[k] = np.divide(squares, sums, out=means[k], where=sums > 0.0)
+        spread[k] = np.divide(1.0, sums, out=spread[k], where=sums > 0.0)
+        others = sums - weight[rows]
+        count = (weight[rows] > 0.0).sum(axis=0) - (weight[rows] > 0.0)
+        mean = np.divide(squares - weight[rows] * filled[rows], others, out=np.zeros_like(others), where=others > 0.0)
+        enough = count >= LEAST_SIBLINGS
+        value[rows] -= np.where(enough, mean, 0.0)
+        extra[rows] += np.where(enough, np.divide(1.0, others, out=np.zeros_like(others), where=others > 0.0), 0.0)
+    return (
+        Series(series.dates, value, series.amount, extra),
+        Series(series.dates, means, amounts, spread),
+    )

@@ -1,0 +1,172 @@
+"""Follow a slow quantity of each car by a state-space model: a level that wanders, and a constant rate.
+
+The value of car i on date t is
+
+    value = level + noise,    level(t + dt) = level(t) + rate dt + wander,    wander ~ N(0, q dt),
+
+with noise of a variance that is the same for all days, and one that falls with what was measured. The three variances
+are the same for all cars. They are estimated by the likelihood of all series together, with a weak prior. A value far
+off has a larger variance, as if noise was of Student's t: a day of a car may have been another kind of day.
+
+The filter and the smoother are those of filterpy, which is imported where they run: its import takes a second.
+
+References
+----------
+Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge 1989, DOI
+10.1017/CBO9781107049994, sections 2.3 and 3.4. Rauch, Tung, Striebel, AIAA Journal 3 (1965) 1445, DOI 10.2514/3.3166.
+Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989) 881, DOI 10.2307/2290063.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from socast.core.batch import Floats
+from socast.core.condition.car_days import Series
+
+YEAR: Final = 365.25
+"""[d]"""
+LEVEL_SD: Final = 0.3
+"""Standard deviation of the level of a car before any data. [1]"""
+FREEDOM: Final = 5.0
+"""Degrees of freedom of the noise."""
+QUICK: Final = 0.3
+"""Wander, in a year, of the level beside which a value is far off: a step of the level is followed within days. [1]"""
+ROUNDS: Final = 2
+"""Number of times that variances of values far off are enlarged."""
+
+
+class Wandering(NamedTuple):
+    """Hold the variances of a quantity, or the prior of them.
+
+    Parameters
+    ----------
+    of_day : float
+        Standard deviation of the noise of a day. [1]
+    of_amount : float
+        That of a day on which one unit of the amount was measured, beside the other. [1]
+    wander : float
+        That of the change of the level in a year. [1]
+    rate : float
+        That of the rates of cars. [1/year]
+    """
+
+    of_day: float
+    of_amount: float
+    wander: float
+    rate: float
+
+
+CONSUMPTION: Final = Wandering(0.04, 0.15, 0.01, 0.03)
+"""Prior of the consumption of cars: a car differs by 4 % from day to day, and ages by some per cent a year."""
+CAPACITY: Final = Wandering(0.02, 3.0, 0.01, 0.04)
+"""Prior of the usable capacity: batteries lose 1 to 4 % a year, and each reading is uncertain by a per cent."""
+_PRIOR_SDS: Final = np.log([2.0, 2.0, 2.0])
+"""Standard deviations of the logarithms of the first three of a prior."""
+
+
+class Path(NamedTuple):
+    """Hold the smoothed path of n cars on t dates.
+
+    Parameters
+    ----------
+    level, sd : (n, t) float
+        Level and its standard deviation. [1]
+    rate, rate_sd : (n,) float
+        Rate and its standard deviation. [1/year]
+    """
+
+    level: Floats
+    sd: Floats
+    rate: Floats
+    rate_sd: Floats
+
+
+def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
+    """Return the variances of a quantity, and the series in which values far off have a larger variance."""
+    found, out = prior, series
+    for _ in range(ROUNDS):
+        found = _maximise(out, prior)
+        level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
+        off = (series.value - level) ** 2 / np.maximum(variance, 1e-12)
+        heavier = np.maximum((off + FREEDOM) / (FREEDOM + 1.0) - 1.0, 0.0)
+        extra = np.where(np.isfinite(series.value), series.extra + heavier * noise, series.extra)
+        out = series._replace(extra=extra)
+    return found, out
+
+
+def _maximise(series: Series, prior: Wandering) -> Wandering:
+    """Return the most probable variances."""
+    middle = np.log(prior[:3])
+
+    def unpack(log: Floats) -> Wandering:
+        of_day, of_amount, wander = np.exp(log).tolist()
+        return Wandering(of_day, of_amount, wander, prior.rate)
+
+    def compute_loss(log: Floats) -> float:
+        loss = 0.5 * float((((log - middle) / _PRIOR_SDS) ** 2).sum())
+        return loss - _compute_likelihood(series, unpack(log))
+
+    best = minimize(compute_loss, middle, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 200})
+    return unpack(best.x)
+
+
+def _compute_likelihood(series: Series, found: Wandering) -> float:
+    """Return the logarithm of the likelihood of all cars, up to a constant."""
+    level, variance, _ = _predict_levels(series, found)
+    known = np.isfinite(level) & np.isfinite(series.value)
+    off = series.value[known] - level[known]
+    return -0.5 * float((off**2 / variance[known] + np.log(variance[known])).sum())
+
+
+def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, Floats]:
+    """Return the level that the days before predict for each value, the variance of their difference, and the noise."""
+    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    n, days = series.value.shape
+    first = np.isfinite(series.value).argmax(axis=1)
+    begin = np.take_along_axis(series.value, first[:, np.newaxis], 1)[:, 0]  # the level before is that of no data
+    level, rate = np.nan_to_num(begin), np.zeros(n)
+    p_ll, p_lr, p_rr = np.full(n, LEVEL_SD**2), np.zeros(n), np.full(n, (found.rate / YEAR) ** 2)
+    expected, variances = np.full((n, days), np.nan), np.full((n, days), np.nan)
+    for t in range(days):
+        dt = float(series.dates[t] - series.dates[t - 1]) if t else 0.0
+        level = level + rate * dt
+        p_ll = p_ll + 2.0 * dt * p_lr + dt**2 * p_rr + found.wander**2 / YEAR * dt
+        p_lr = p_lr + dt * p_rr
+        variance = p_ll + noise[:, t]
+        known = np.isfinite(series.value[:, t])
+        expected[:, t], variances[:, t] = level, variance
+        off = np.where(known, series.value[:, t] - level, 0.0)
+        gain, gain_rate = (np.where(known, p / variance, 0.0) for p in (p_ll, p_lr))
+        level, rate = level + gain * off, rate + gain_rate * off
+        p_rr = p_rr - gain_rate * p_lr
+        p_lr = p_lr - gain * p_lr
+        p_ll = p_ll - gain * p_ll
+    return expected, variances, noise
+
+
+def smooth_levels(series: Series, found: Wandering) -> Path:
+    """Return the smoothed paths of the levels of cars, by the filter and the smoother of filterpy."""
+    from filterpy.kalman import KalmanFilter  # noqa: PLC0415 - its import takes a second
+
+    n, days = series.value.shape
+    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
+    moves = [np.array([[1.0, dt], [0.0, 1.0]]) for dt in gaps.tolist()]
+    wanders = [np.diag([found.wander**2 / YEAR * dt, 0.0]) for dt in gaps.tolist()]
+    out = Path(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
+    for i in range(n):
+        known = np.isfinite(series.value[i])
+        if not known.any():
+            continue
+        car = KalmanFilter(dim_x=2, dim_z=1)
+        car.x = np.array([[series.value[i][known][0]], [0.0]])
+        car.P = np.diag([LEVEL_SD**2, (found.rate / YEAR) ** 2])
+        car.H = np.array([[1.0, 0.0]])
+        values = [value if is_known else None for value, is_known in zip(series.value[i].tolist(), known, strict=True)]
+        means, covariances, _, _ = car.batch_filter(values, Fs=moves, Qs=wanders, Rs=noise[i].tolist())
+        means, covariances, _, _ = car.rts_smoother(means, covariances, Fs=moves, Qs=wanders)
+        out.level[i], out.sd[i] = means[:, 0, 0], np.sqrt(np.maximum(covariances[:, 0, 0], 0.0))
+        out.rate[i], out.rate_sd[i] = YEAR * means[-1, 1, 0], YEAR * np.sqrt(max(covariances[-1, 1, 1], 0.0))
+    return out

@@ -1,0 +1,112 @@
+"""Find when the level of a car changed: compare a state-space model with and without a step on each date.
+
+Without a step, the values of a car are Gaussian with the covariance K that its state-space model gives
+(`socast.core.condition.level_model`). A step of unknown size a ~ N(0, `STEP_SD`²) since date τ changes the evidence by
+
+    log B(τ) = b² / (2 (A + 1/s²)) - log(1 + A s²) / 2,    A = h'K⁻¹h, b = h'K⁻¹(y - mean),
+
+where h is 0 before τ and 1 from then on. All dates are equally likely before the data. What wanders or changes by a
+constant rate is in K, so that a slow change is no step. Steps are searched one after another.
+
+References
+----------
+Harvey, Koopman, Journal of Business & Economic Statistics 10 (1992) 377, DOI 10.1080/07350015.1992.10509913, on
+auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the American Statistical Association 90 (1995)
+773, DOI 10.1080/01621459.1995.10476572, on evidence.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from socast.core.batch import Floats
+from socast.core.condition.level_model import LEVEL_SD, YEAR, Wandering
+
+STEP_SD: Final = 0.06
+"""Standard deviation of the size of a step before any data. [1]"""
+STEPS_A_YEAR: Final = 0.5
+"""Number of steps of a car in a year that is expected before any data."""
+REPORTED: Final = 0.9
+"""Probability of a step from which it is reported. [1]"""
+MOST_STEPS: Final = 3
+"""Largest number of steps of a car."""
+LEAST_SIDE: Final = 3
+"""Number of days with measurements before and after a step."""
+DATE_SHARE: Final = 0.9
+"""Probability that the interval of the date holds it. [1]"""
+
+
+class LevelStep(NamedTuple):
+    """Hold a step of the level of a car.
+
+    Parameters
+    ----------
+    since, low, high : int
+        Ordinal of the first date after it, and the interval of that.
+    size, sd : float
+        Change of the level and its standard deviation. [1]
+    probability : float
+        That there is a step at all. [1]
+    """
+
+    since: int
+    low: int
+    high: int
+    size: float
+    sd: float
+    probability: float
+
+
+def find_steps(dates: Floats, value: Floats, variance: Floats, found: Wandering) -> list[LevelStep]:
+    """Return the steps of a car, in the order of their dates.
+
+    Parameters
+    ----------
+    dates, value, variance : (n,) float
+        Ordinals of the dates with a measurement, the values, and the variances of their noise. [d], [1], [1]
+    """
+    n = len(value)
+    if n < 2 * LEAST_SIDE:
+        return []
+    time = dates - dates[0]
+    rate = found.rate / YEAR
+    covariance = LEVEL_SD**2 + rate**2 * np.outer(time, time) + np.diag(variance)
+    covariance += found.wander**2 / YEAR * np.minimum.outer(time, time)
+    steps: list[LevelStep] = []
+    mean = float(np.average(value, weights=1.0 / variance))
+    for _ in range(MOST_STEPS):
+        step, at = _find_step(dates, value - mean, covariance)
+        if step.probability < REPORTED:
+            break
+        steps.append(step)
+        after = (np.arange(n) >= at).astype(np.float64)
+        covariance = covariance + STEP_SD**2 * np.outer(after, after)
+    return sorted(steps)
+
+
+def _find_step(dates: Floats, value: Floats, covariance: Floats) -> tuple[LevelStep, int]:
+    """Return the most likely step, and the place of its date."""
+    n = len(value)
+    inverse = cho_solve(cho_factor(covariance, lower=True), np.eye(n))
+    weighted = inverse @ value
+    match = np.cumsum(weighted[::-1])[::-1]
+    blocks = np.cumsum(np.cumsum(inverse[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
+    places = np.arange(LEAST_SIDE, n - LEAST_SIDE + 1)
+    precise, match = np.diag(blocks)[places] + STEP_SD**-2.0, match[places]
+    evidence = 0.5 * match**2 / precise - 0.5 * np.log(precise * STEP_SD**2)
+    prior = STEPS_A_YEAR * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
+    odds = prior * np.exp(np.clip(evidence, -50.0, 600.0))
+    total = float(odds.sum())
+    chances = odds / total
+    order = np.argsort(-chances, kind="stable")
+    inside = order[: int(np.searchsorted(np.cumsum(chances[order]), DATE_SHARE)) + 1]
+    best = int(np.argmax(chances))
+    sizes = match / precise
+    size = float(chances @ sizes)
+    sd = float(np.sqrt(chances @ (1.0 / precise + (sizes - size) ** 2)))
+    since = dates[places].astype(np.int64)
+    step = LevelStep(
+        int(since[best]), int(since[inside].min()), int(since[inside].max()), size, sd, total / (1.0 + total)
+    )
+    return step, int(places[best])
