@@ -83,6 +83,9 @@ COMMANDS: Final = {
     "history": Command(
         "socast.tools.commands.history", "show_history", "Show how the error of a model fell, step by step."
     ),
+    "condition": Command(
+        "socast.tools.commands.condition", "show_condition", "Tell how each car is doing, and since when."
+    ),
     "simulate": Command(
         "socast.tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),

@@ -19,9 +19,9 @@ from socast.core.evaluate.compare.models import ComparedRides
 
 LEAST_DATES: Final = 6
 """Number of dates below which nothing is told of a condition."""
-LEAST_KWH: Final = 1.0
+LEAST_KWH: Final = 0.3
 """Least predicted energy of a car-day. [kWh]"""
-LEAST_FALL: Final = 10.0
+LEAST_FALL: Final = 3.0
 """Least fall of the display over the rides of a car-day from which its capacity is estimated. [%]"""
 LEAST_SIBLINGS: Final = 2
 """Least number of other cars with a measurement on a date whose mean is taken off."""

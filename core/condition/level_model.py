@@ -33,6 +33,8 @@ FREEDOM: Final = 5.0
 """Degrees of freedom of the noise."""
 QUICK: Final = 0.3
 """Wander, in a year, of the level beside which a value is far off: a step of the level is followed within days. [1]"""
+MOST_CARS: Final = 100
+"""Number of cars from which the variances are estimated."""
 ROUNDS: Final = 2
 """Number of times that variances of values far off are enlarged."""
 
@@ -60,7 +62,7 @@ class Wandering(NamedTuple):
 
 CONSUMPTION: Final = Wandering(0.04, 0.15, 0.01, 0.03)
 """Prior of the consumption of cars: a car differs by 4 % from day to day, and ages by some per cent a year."""
-CAPACITY: Final = Wandering(0.02, 3.0, 0.01, 0.04)
+CAPACITY: Final = Wandering(0.02, 0.5, 0.01, 0.04)
 """Prior of the usable capacity: batteries lose 1 to 4 % a year, and each reading is uncertain by a per cent."""
 _PRIOR_SDS: Final = np.log([2.0, 2.0, 2.0])
 """Standard deviations of the logarithms of the first three of a prior."""
@@ -84,10 +86,14 @@ class Path(NamedTuple):
 
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
-    """Return the variances of a quantity, and the series in which values far off have a larger variance."""
+    """Return the variances of a quantity, and the series in which values far off have a larger variance.
+
+    At most `MOST_CARS` cars, evenly spaced, tell the variances.
+    """
     found, out = prior, series
+    every = max(-(-len(series.value) // MOST_CARS), 1)
     for _ in range(ROUNDS):
-        found = _maximise(out, prior)
+        found = _maximise(Series(out.dates, *(each[::every] for each in out[1:])), prior)
         level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
         off = (series.value - level) ** 2 / np.maximum(variance, 1e-12)
         heavier = np.maximum((off + FREEDOM) / (FREEDOM + 1.0) - 1.0, 0.0)
@@ -108,7 +114,7 @@ def _maximise(series: Series, prior: Wandering) -> Wandering:
         loss = 0.5 * float((((log - middle) / _PRIOR_SDS) ** 2).sum())
         return loss - _compute_likelihood(series, unpack(log))
 
-    best = minimize(compute_loss, middle, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 200})
+    best = minimize(compute_loss, middle, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxiter": 100})
     return unpack(best.x)
 
 

@@ -21,14 +21,17 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats
-from socast.core.condition.level_model import LEVEL_SD, YEAR, Wandering
+from socast.core.condition.car_days import Series
+from socast.core.condition.level_model import LEVEL_SD, MOST_CARS, YEAR, Wandering, estimate_wandering
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
 STEPS_A_YEAR: Final = 0.5
 """Number of steps of a car in a year that is expected before any data."""
-REPORTED: Final = 0.9
+REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
+SUSPECTED: Final = 0.3
+"""Probability of a step from which it does not count as wandering. [1]"""
 MOST_STEPS: Final = 3
 """Largest number of steps of a car."""
 LEAST_SIDE: Final = 3
@@ -58,8 +61,42 @@ class LevelStep(NamedTuple):
     probability: float
 
 
-def find_steps(dates: Floats, value: Floats, variance: Floats, found: Wandering) -> list[LevelStep]:
-    """Return the steps of a car, in the order of their dates.
+def separate_steps(series: Series, prior: Wandering) -> tuple[Wandering, Series, list[list[LevelStep]]]:
+    """Return the variances of a quantity, the series with larger variances of what is far off, and each car's steps.
+
+    The variances are estimated twice, the second time without the steps that the first ones let suspect.
+    """
+    found, rough = estimate_wandering(series, prior)
+    quiet = found._replace(wander=min(found.wander, prior.wander))
+    suspected = _list_steps(rough, quiet, SUSPECTED, every=max(-(-len(series.value) // MOST_CARS), 1))
+    found, heavy = estimate_wandering(subtract_steps(series, suspected), prior)
+    heavy = heavy._replace(value=series.value)
+    return found, heavy, _list_steps(heavy, found, REPORTED)
+
+
+def subtract_steps(series: Series, steps: list[list[LevelStep]], sign: float = -1.0) -> Series:
+    """Return the series without the steps of its cars; with them again where the sign is 1."""
+    value = series.value.copy()
+    for row, of_car in zip(value, steps, strict=True):
+        for step in of_car:
+            row[series.dates >= step.since] += sign * step.size
+    return series._replace(value=value)
+
+
+def _list_steps(series: Series, found: Wandering, least: float, every: int = 1) -> list[list[LevelStep]]:
+    """Return the steps of each car, or of one of so many."""
+    variance, out = series.compute_variance(found.of_day**2, found.of_amount**2), list[list[LevelStep]]()
+    for i, value in enumerate(series.value):
+        known = np.isfinite(value)
+        of_car = series.dates[known].astype(np.float64), value[known], variance[i][known]
+        out.append(find_steps(*of_car, found, least) if i % every == 0 else [])
+    return out
+
+
+def find_steps(
+    dates: Floats, value: Floats, variance: Floats, found: Wandering, least: float = REPORTED
+) -> list[LevelStep]:
+    """Return the steps of a car that are at least so probable, in the order of their dates.
 
     Parameters
     ----------
@@ -77,7 +114,7 @@ def find_steps(dates: Floats, value: Floats, variance: Floats, found: Wandering)
     mean = float(np.average(value, weights=1.0 / variance))
     for _ in range(MOST_STEPS):
         step, at = _find_step(dates, value - mean, covariance)
-        if step.probability < REPORTED:
+        if step.probability < least:
             break
         steps.append(step)
         after = (np.arange(n) >= at).astype(np.float64)

@@ -25,6 +25,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "check": 1,
     "cluster": 1,
     "compare": 2,
+    "condition": 1,
     "demo": 1,
     "diagnose": 6,
     "effect": 1,

@@ -1,0 +1,69 @@
+"""Rides are summed to car-days, and what all cars of a date share is taken off."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from socast.core.condition.car_days import gather_car_days, subtract_siblings
+from socast.core.errors import ModelError
+from socast.core.evaluate.compare.models import ComparedRides
+from tests.support.car_day_fleets import make_fleet
+
+
+def rides(days=8, cars=("b", "a"), **columns):
+    """Return rides of 2 kWh that lower the display by 10 %, two for each car and day."""
+    rows = [(car, f"2020-01-{day + 1:02}") for day in range(days) for car in cars for _ in range(2)]
+    frame = pd.DataFrame(rows, columns=["vehicle_id", "date"])
+    same = {"vehicle_model": "m", "nominal_capacity_kwh": 20.0, "energy_vi_kwh": 2.0, "soc_start_pct": 60.0}
+    frame = frame.assign(**same, soc_end_pct=50.0, ambient_c=10.0)
+    return frame.assign(**columns)
+
+
+def compared(frame, measured=2.0, predicted=2.0):
+    n = len(frame)
+    clusters = np.arange(n)
+    return ComparedRides(frame, np.full(n, measured), {"m": np.full(n, predicted)}, clusters, n, {})
+
+
+def test_car_day_is_the_energy_of_its_rides_over_the_prediction():
+    days = gather_car_days(compared(rides(), measured=2.2), "m")
+    assert days.cars == ["a", "b"]
+    assert days.consumption.value == pytest.approx(np.full((2, 8), np.log(1.1)))
+    assert days.consumption.amount == pytest.approx(np.full((2, 8), 4.0))
+
+
+def test_capacity_is_the_energy_over_the_fall_of_the_display():
+    days = gather_car_days(compared(rides(soc_end_pct=48.0)), "m")
+    assert days.capacity.value == pytest.approx(np.full((2, 8), np.log(2.0 / 0.12 / 20.0)))
+    cold = gather_car_days(compared(rides(ambient_c=-5.0)), "m")
+    assert cold.cold == pytest.approx(np.full((2, 8), 15.0))
+
+
+def test_unmeasured_and_impossible_days_are_unknown():
+    days = gather_car_days(compared(rides(energy_vi_kwh=np.nan), measured=9.0), "m")
+    assert np.isnan(days.consumption.value).all()
+    assert np.isnan(days.capacity.value).all()
+
+
+def test_few_dates_are_refused_with_the_number_and_the_limit():
+    with pytest.raises(ModelError, match="of 5 dates, and a condition takes 6: give more days"):
+        gather_car_days(compared(rides(days=5)), "m")
+
+
+def test_what_all_cars_share_is_taken_off_and_levels_stay():
+    fleet = make_fleet(1)
+    apart, means = subtract_siblings(fleet, ["m"] * 8, 0.04**2, 0.15**2)
+    shared = fleet._replace(value=fleet.value + np.linspace(-0.2, 0.2, 120))
+    again, of_all = subtract_siblings(shared, ["m"] * 8, 0.04**2, 0.15**2)
+    enough = np.isfinite(fleet.value).sum(axis=0) >= 3
+    moved = (again.value - apart.value)[:, enough]
+    assert np.nanmax(np.abs(moved - np.nanmean(moved))) < 0.02  # the level of each car is its median
+    assert np.nanstd(means.value) > 0.02
+    assert np.ptp((of_all.value - means.value)[0, enough]) == pytest.approx(0.4, abs=0.05)
+
+
+def test_car_without_siblings_is_as_it_is():
+    fleet = make_fleet(2, cars=2)
+    apart, _ = subtract_siblings(fleet, ["m", "n"], 0.04**2, 0.15**2)
+    assert apart.value == pytest.approx(fleet.value, nan_ok=True)
+    assert (apart.extra == 0.0).all()

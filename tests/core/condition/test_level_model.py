@@ -1,0 +1,68 @@
+"""The state-space model recovers levels, rates and their uncertainty, as a dense Gaussian computation does."""
+
+import numpy as np
+import pytest
+
+from socast.core.condition.car_days import Series, subtract_siblings
+from socast.core.condition.level_model import (
+    CONSUMPTION,
+    LEVEL_SD,
+    YEAR,
+    Wandering,
+    estimate_wandering,
+    smooth_levels,
+)
+from tests.support.car_day_fleets import FIRST, make_fleet
+
+KNOWN = Wandering(0.03, 0.15, 0.02, 0.03)
+
+
+def test_smoothed_path_is_that_of_the_dense_gaussian_model():
+    rng = np.random.default_rng(3)
+    dates = FIRST + np.array([0, 1, 2, 5, 9, 10, 11, 30])
+    value = rng.normal(0.1, 0.05, (1, 8))
+    value[0, 3] = np.nan
+    series = Series(dates, value, np.full((1, 8), 10.0), np.zeros((1, 8)))
+    path = smooth_levels(series, KNOWN)
+    time = (dates - dates[0]).astype(float)
+    level = LEVEL_SD**2 + (KNOWN.rate / YEAR) ** 2 * np.outer(time, time)
+    level += KNOWN.wander**2 / YEAR * np.minimum.outer(time, time)
+    known = np.isfinite(value[0])
+    noise = np.diag(series.compute_variance(KNOWN.of_day**2, KNOWN.of_amount**2)[0])
+    gain = level[:, known] @ np.linalg.inv((level + noise)[np.ix_(known, known)])
+    first = value[0, 0]
+    assert path.level[0] == pytest.approx(first + gain @ (value[0, known] - first), abs=1e-9)
+    assert path.sd[0] ** 2 == pytest.approx(np.diag(level - gain @ level[known]), abs=1e-9)
+
+
+def test_sizes_of_noise_are_estimated_from_all_cars():
+    apart, _ = subtract_siblings(make_fleet(4, days=300), ["m"] * 8, 0.04**2, 0.15**2)
+    found, _ = estimate_wandering(apart, CONSUMPTION)
+    assert np.hypot(found.of_day, found.of_amount / np.sqrt(15.0)) == pytest.approx(np.hypot(0.03, 0.039), rel=0.3)
+    assert 0.004 < found.wander < 0.025
+
+
+def test_days_far_off_have_more_variance():
+    fleet = make_fleet(5)
+    fleet.value[3, 40] = 1.0
+    _, heavy = estimate_wandering(fleet, CONSUMPTION)
+    assert heavy.extra[3, 40] > 20.0 * np.median(heavy.extra[3])
+
+
+def test_intervals_of_rates_hold_the_truth():
+    held = []
+    for seed in range(12):
+        apart, _ = subtract_siblings(make_fleet(seed, days=300), ["m"] * 8, 0.04**2, 0.15**2)
+        found, heavy = estimate_wandering(apart, CONSUMPTION)
+        path = smooth_levels(heavy, found)
+        held += list(np.abs(path.rate) < 1.96 * path.rate_sd)
+    assert 0.88 <= np.mean(held) <= 0.99
+
+
+def test_car_without_values_has_no_path():
+    fleet = make_fleet(6)
+    fleet.value[2] = np.nan
+    path = smooth_levels(fleet, KNOWN)
+    assert np.isnan(path.level[2]).all()
+    assert np.isnan(path.rate[2])
+    assert np.isfinite(path.level[0]).all()

@@ -1,0 +1,47 @@
+"""`socast condition`: how each car is doing, in a terminal, as JSON and as one HTML page."""
+
+from typing import Annotated
+
+import typer
+
+from socast.core import models
+from socast.core.condition.car_condition import assess_condition
+from socast.tools.terminal.output import (
+    HtmlFile,
+    JsonFile,
+    check_outputs,
+    select_model_files,
+    show_report,
+    write_json,
+)
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source
+
+
+@insert_ride_source
+def show_condition(
+    *,
+    source: RideSource,
+    model: Annotated[str, typer.Option("--model", metavar="M", help="A model's name, or a model file.")],
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Tell how each car is doing: what it takes beside its siblings, what its battery holds, and since when.
+
+    The consumption of each day is compared with what the model predicts and with the other cars of the vehicle model on
+    the same dates, so that weather and traffic count little. The usable capacity is that of the energy by voltage and
+    current over the fall of the display. The worst car comes first.
+
+    Examples
+    --------
+    socast condition tables --model fitted.json --html condition.html
+    socast condition recordings/autumn.mcap --model extended_physical
+    socast condition tables --model fitted.json --json - | jq '.cars[0]'
+    """
+    source.check()
+    check_outputs([*select_model_files([model]), *source.list_read_files()], json_file, html_file)
+    chosen = models.load(model)
+    with source.open_tables(chosen.effects) as tables:
+        rides = tables.read(chosen.effects, library=False)[0] if tables.is_recorded else tables.read_rides()
+    result = assess_condition(rides, chosen)
+    write_json(json_file, "condition", result.to_json())
+    show_report("condition", result, html_file, json_file)

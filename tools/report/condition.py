@@ -1,0 +1,220 @@
+"""Show how cars are doing: in the terminal in words and as a table, and as a page with a figure of each car."""
+
+from datetime import date
+from pathlib import Path
+from typing import Final
+
+import plotly.graph_objects as go
+from rich.console import Console
+from rich.text import Text
+
+from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
+from socast.core.formatting import format_minus
+from socast.core.records import ConfidenceInterval
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.figure_style import REFERENCE_LINE, get_style, make_figure
+from socast.tools.report.page import escape_text, render_document, save
+
+TITLE: Final = "Condition of the cars"
+MOST_DESCRIBED: Final = 5
+"""Number of cars that are described in words, and beside which nothing is found."""
+MOST_DRAWN: Final = 24
+"""Number of cars that have a figure."""
+NOTE: Final = (
+    "Consumption: measured energy over that of the model, beside the mean of the other cars of the vehicle model on "
+    "the same dates, as of the last date; a car without two siblings is compared with the model alone, and the weather "
+    "that the model lacks then counts as the car's. Rate: change beside sudden ones; a dash where the dates are too "
+    "few. In parentheses: 95 % intervals."
+)
+STEP_NOTE: Final = "A sudden change is shown if its probability is at least 80 %; its date lies between the given ones."
+
+
+def show(result: FleetCondition, console: Console) -> None:
+    """Print the table of cars, and then the worst cars in words."""
+    print_section(Section("cars", TITLE, _describe_data(result), [tabulate_cars(result)]), console)
+    for line in describe_fleet(result):
+        console.print(Text(line))
+
+
+def write(result: FleetCondition, path: Path) -> None:
+    """Write the condition as a self-contained page."""
+    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe_fleet(result))
+    sections = [
+        Section("each", "Each car", "", []),
+        Section("cars", "All cars", _describe_data(result), [tabulate_cars(result)]),
+    ]
+    foot = "<p>Made by <code>socast condition</code>.</p>"
+
+    def illustrate(key: str) -> list[Illustration]:
+        return [_illustrate(i, car) for i, car in enumerate(result.cars[:MOST_DRAWN])] if key == "each" else []
+
+    save(render_document("condition", TITLE, lead, sections, illustrate, foot), path)
+
+
+def _describe_data(result: FleetCondition) -> str:
+    """Return what the condition is of, in a sentence."""
+    left = ", ".join(f"{format_count(n)} {why}" for why, n in result.left_out.items())
+    cold = "" if result.cold_loss_pct is None else f" A kelvin below 10 °C takes {result.cold_loss_pct:.2f} % off."
+    return (
+        f"{format_count(result.rides)} rides on {format_count(result.car_days)} car-days from {result.first_date} to "
+        f"{result.last_date}{f' ({left} left out)' if left else ''}; model {result.model}. The consumption of a car "
+        f"varies by {result.day_sd_pct:.1f} % from day to day.{cold}"
+    )
+
+
+def describe_fleet(result: FleetCondition) -> list[str]:
+    """Return the worst cars in words, and how many others there are."""
+    lines = [line for car in result.cars[:MOST_DESCRIBED] if (line := describe_car(car))]
+    rest = sum(not describe_car(car) for car in result.cars)
+    if rest:
+        what = "car takes" if rest == 1 else "cars take"
+        lines.append(f"{rest} other {what} about what is expected." if lines else _describe_nothing(rest))
+    return lines
+
+
+def _describe_nothing(cars: int) -> str:
+    """Return that all cars are doing as expected."""
+    if cars == 1:
+        return "The car takes what is expected, within the interval."
+    return f"All {cars} cars take what is expected, within their intervals."
+
+
+def describe_car(car: CarCondition) -> str:
+    """Return what is found of a car in a sentence, empty where nothing is."""
+    parts = []
+    if (trend := car.consumption) is not None:
+        if trend.ci95_pct[0] > 0.0 or trend.ci95_pct[1] < 0.0:
+            beside = "its siblings" if car.siblings > 1 else "the model predicts"
+            parts.append(f"takes {_word_change(trend.level_pct, trend.ci95_pct)} than {beside}")
+        parts += [f"takes {_word_step(step)}" for step in trend.steps]
+        parts += [f"takes {rate} each year" for rate in _word_rate(trend)]
+    if (trend := car.capacity) is not None and car.usable_kwh is not None:
+        parts += [f"its battery holds {_word_step(step)}" for step in trend.steps]
+        parts += [f"its battery holds {rate} each year" for rate in _word_rate(trend)]
+    return f"{car.vehicle_id}: {'; '.join(parts)}." if parts else ""
+
+
+def _word_rate(trend: Trend) -> list[str]:
+    """Return the rate in words, nothing where it may be chance or is unknown."""
+    if not trend.is_changing or trend.rate_pct is None or trend.rate_ci95_pct is None:
+        return []
+    return [_word_change(trend.rate_pct, trend.rate_ci95_pct)]
+
+
+def _word_change(percent: float, interval: ConfidenceInterval) -> str:
+    """Return a change in words, such as `6.1 % more (4.0 to 8.2)`."""
+    low, high = sorted(abs(each) for each in interval)
+    return f"{abs(percent):.1f} % {'more' if percent > 0.0 else 'less'} ({low:.1f} to {high:.1f})"
+
+
+def _word_step(step: ConditionStep) -> str:
+    """Return a sudden change in words."""
+    low, high = (_word_date(each) for each in step.interval)
+    between = f" (between {low} and {high})" if low != high else ""
+    return f"{_word_change(step.change_pct, step.ci95_pct)} since {_word_date(step.since)}{between}"
+
+
+def _word_date(iso: str) -> str:
+    """Return a date in words, such as `12 November 2018`."""
+    day = date.fromisoformat(iso)
+    return f"{day.day} {day:%B} {day.year}"
+
+
+def tabulate_cars(result: FleetCondition) -> ReportTable:
+    """Return a row for each car."""
+    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "of kWh", "rate, %/year")
+    rows = tuple(
+        Row(
+            car.vehicle_id,
+            tuple(
+                Cell(text)
+                for text in (
+                    format_count(car.consumption.days if car.consumption else None),
+                    _format_level(car.consumption),
+                    _format_rate(car.consumption),
+                    _list_changes(car),
+                    UNKNOWN if car.usable_kwh is None else f"{car.usable_kwh:.1f}",
+                    UNKNOWN if car.nominal_kwh is None else f"{car.nominal_kwh:.1f}",
+                    _format_rate(car.capacity),
+                )
+            ),
+        )
+        for car in result.cars
+    )
+    return ReportTable("Cars, the worst first", "car", heads, rows, (NOTE, STEP_NOTE))
+
+
+def _format_level(trend: Trend | None) -> str:
+    """Return the level with its interval."""
+    return UNKNOWN if trend is None else _format_interval(trend.level_pct, trend.ci95_pct)
+
+
+def _format_rate(trend: Trend | None) -> str:
+    """Return the rate with its interval."""
+    if trend is None or trend.rate_pct is None or trend.rate_ci95_pct is None:
+        return UNKNOWN
+    return _format_interval(trend.rate_pct, trend.rate_ci95_pct)
+
+
+def _format_interval(value: float, interval: ConfidenceInterval) -> str:
+    """Return a percentage with its interval."""
+    low, high = interval
+    return format_minus(f"{value:+.1f} ({low:+.1f} to {high:+.1f})")
+
+
+def _list_changes(car: CarCondition) -> str:
+    """Return the dates of sudden changes."""
+    changes = [f"{each.since} {each.change_pct:+.1f} %" for each in (car.consumption.steps if car.consumption else [])]
+    changes += [
+        f"{each.since} battery {each.change_pct:+.1f} %" for each in (car.capacity.steps if car.capacity else [])
+    ]
+    return format_minus(", ".join(changes))
+
+
+def _illustrate(place: int, car: CarCondition) -> Illustration:
+    """Return the figure of a car."""
+    caption = describe_car(car) or f"{car.vehicle_id}: nothing is found."
+    return Illustration(f"car-{place}", car.vehicle_id, caption, draw_car(car), small=True)
+
+
+def draw_car(car: CarCondition) -> go.Figure:
+    """Return a figure of the consumption and the usable capacity of a car over the dates."""
+    traces: list[go.Scatter] = []
+    for place, (name, trend) in enumerate((("consumption", car.consumption), ("usable capacity", car.capacity))):
+        if trend is None:
+            continue
+        look = get_style(2 + 2 * place)
+        middle = [each or 0.0 for each in trend.path_pct]
+        spread = [2.0 * (each or 0.0) for each in trend.path_sd_pct]
+        band = [m + s for m, s in zip(middle, spread, strict=True)]
+        band += [m - s for m, s in zip(reversed(middle), reversed(spread), strict=True)]
+        traces += [
+            go.Scatter(
+                x=[*trend.dates, *reversed(trend.dates)],
+                y=band,
+                fill="toself",
+                mode="none",
+                fillcolor=look.colour,
+                opacity=0.25,
+                showlegend=False,
+                hoverinfo="skip",
+            ),
+            go.Scatter(
+                x=trend.dates,
+                y=trend.measured_pct,
+                mode="markers",
+                marker={"size": 5, "color": look.colour, "symbol": look.symbol, "opacity": 0.6},
+                name=f"{name}, day",
+            ),
+            go.Scatter(
+                x=trend.dates, y=middle, mode="lines", line={"color": look.colour, "dash": look.dash}, name=name
+            ),
+        ]
+    made = make_figure(traces, 280)
+    made.add_hline(y=0.0, line=REFERENCE_LINE)
+    made.layout.xaxis.title = "date [UTC]"
+    made.layout.yaxis.title = "beside expected [%]"
+    return made
