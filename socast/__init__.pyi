@@ -20,6 +20,7 @@ from .evaluation import compare_datasets as compare_datasets
 from .evaluation import compare_models as compare_models
 from .evaluation import evaluate_recipes as evaluate_recipes
 from .evaluation import evaluate_soc_forecasts as evaluate_soc_forecasts
+from .evaluation import split_energy as split_energy
 from .evaluation import trace_ride as trace_ride
 from .models import LinearModel as LinearModel
 from .models import fit_model as fit_model
@@ -86,6 +87,7 @@ __all__ = [
     "read_tables",
     "save_model",
     "simulate_fleet",
+    "split_energy",
     "stamp_model",
     "trace_ride",
 ]

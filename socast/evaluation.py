@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from socast.core.condition.energy_split import EnergySplit
+from socast.core.condition.energy_split import split_energy as _split
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
 from socast.core.evaluate.compare.models import compare_predictions as _compare
 from socast.core.evaluate.compare.models import select_rides as _sample
@@ -26,7 +28,14 @@ from socast.stream.source import merge_sources
 from socast.tools.commands.evaluate_soc import SocForecasts as _SocForecasts
 from socast.tools.commands.evaluate_soc import read_displays as _read_displays
 
-__all__ = ["compare_datasets", "compare_models", "evaluate_recipes", "evaluate_soc_forecasts", "trace_ride"]
+__all__ = [
+    "compare_datasets",
+    "compare_models",
+    "evaluate_recipes",
+    "evaluate_soc_forecasts",
+    "split_energy",
+    "trace_ride",
+]
 
 
 def evaluate_recipes(
@@ -125,6 +134,46 @@ def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[
         Where a column is missing, or no ride can be compared.
     """
     return _contrast(_sample(first, models), _sample(second, models), models)
+
+
+def split_energy(
+    rides: pd.DataFrame, model: LinearModel, *, by: str = "fleet", price: float | None = None
+) -> EnergySplit:
+    """Return where the measured energy of rides went, by the terms of a model, and what it does not explain.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+    model : LinearModel
+        The model whose terms divide the energy.
+    by : str
+        `fleet`, or what is also split: `car`, `month`, `driver` or `model`.
+    price : float, optional
+        Price of energy in any currency. [price/kWh]
+
+    Returns
+    -------
+    EnergySplit
+        The parts that `socast waterfall --json` writes, as attributes; `to_json()` for plain values.
+
+    Raises
+    ------
+    ModelError
+        Where a column is missing, or no ride is fit for training, measured and predicted.
+    SettingsError
+        For an unknown way to group, and a price that is not 0 or above.
+
+    Examples
+    --------
+    >>> import socast
+    >>> tables = socast.make_tables("recordings/shift.mcap")
+    >>> fleet = split_energy(tables.rides, socast.load_model("extended_physical")).fleet
+    >>> parts = sum(part.energy_kwh.value for part in fleet.shares)
+    >>> abs(parts - fleet.measured.energy_kwh.value) < 1e-9
+    True
+    """
+    return _split(rides, model, by=by, price=price)
 
 
 def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]) -> RideTrace:

@@ -74,6 +74,9 @@ COMMANDS: Final = {
     "compare": Command(
         "socast.tools.commands.compare", "compare_models", "Compare models with the measured energy of rides."
     ),
+    "waterfall": Command(
+        "socast.tools.commands.waterfall", "show_waterfall", "Show how much energy each term of a model takes."
+    ),
     "diagnose": Command(
         "socast.tools.commands.diagnose", "diagnose_rides", "Find where a model fails and which effect it lacks."
     ),

@@ -57,6 +57,7 @@ EXPORTS = [
     "read_tables",
     "save_model",
     "simulate_fleet",
+    "split_energy",
     "stamp_model",
     "trace_ride",
 ]

@@ -1,0 +1,426 @@
+"""Split the measured energy of rides into the terms of a model, and what the model does not explain.
+
+Each ride is predicted as a sum: the energies of the terms, each times the factor of the car, the correction by boosted
+trees, and what a limit of the prediction takes away. The rest, measured less predicted, is unexplained. The parts
+therefore add up to the measured energy, in every group of rides.
+
+The distance of a part is its energy over the present mean consumption. The distances therefore add up to that driven.
+"""
+
+from collections.abc import Mapping
+from math import isfinite, sqrt
+from types import MappingProxyType
+from typing import Annotated, Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from msgspec import UNSET
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from socast.core.batch import Floats
+from socast.core.effects import Effect, get_library, group_by_topic
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.compare.models import ComparedRides, select_rides
+from socast.core.evaluate.records import EstimatedValue, hold_estimate
+from socast.core.formatting import format_count
+from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, VEHICLE_SCOPE
+from socast.core.models.plausibility import describe_implausible, describe_limited
+from socast.core.records import Record, declare
+from socast.core.stats.clustered import compute_clustered_ratio
+from socast.core.stats.scores import NORMAL_95
+
+GROUP_COLUMNS: Final[Mapping[str, str]] = MappingProxyType(
+    {"fleet": "", "car": VEHICLE, "month": "date", "driver": "driver_id", "model": VEHICLE_MODEL}
+)
+"""Ways to group rides -> the column of the ride table; empty for all rides together."""
+UNKNOWN_GROUP: Final = "unknown"
+LIMIT: Final = "limit of the prediction"
+"""Name of the part that the limit of a model takes away from its terms."""
+UNEXPLAINED: Final = "unexplained"
+MEASURED: Final = "measured"
+WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "accessories": "climate and accessories",
+        "aero_drag": "air drag",
+        "aero_drag_wind": "drag in the wind",
+        "braking": "losses in braking",
+        "cold_rolling": "cold tyres",
+        "drivetrain_loss_torque": "losses of the motor",
+        "inertia": "speed changes",
+        "inertia_negative": "slowing",
+        "inertia_positive": "speeding up",
+    }
+)
+"""Term of a model -> what takes its energy, where the name does not say it."""
+AIR_DRAG: Final = frozenset({"aero_drag", "aero_drag_wind"})
+"""Effects of air drag besides those of the topic `air`."""
+SLOWER: Final = 0.9
+"""Speed of the slower drive over the present one. [1]"""
+LEAST_SIBLINGS: Final = 3
+"""Number of cars of one vehicle model from which their median is taken."""
+LIKE_SIBLINGS: Final = "each car like the median of its vehicle model"
+DRIVEN_SLOWER: Final = "10 % slower"
+
+
+class EnergyAmount(Record, frozen=True):
+    """Hold an amount of energy of some rides: its size, and what it means in distance and money."""
+
+    energy_kwh: Annotated[EstimatedValue, declare("Energy. [kWh]", "kWh", "amount")] = EstimatedValue()
+    share: Annotated[float | None, declare("Energy over the measured energy. [1]", "of measured", "percent")] = None
+    per_100km_kwh: Annotated[
+        EstimatedValue, declare("Energy per distance. [kWh/100 km]", "kWh/100 km", "two decimals")
+    ] = EstimatedValue()
+    range_km: Annotated[
+        float | None, declare("Distance that it brings at the present mean consumption. [km]", "km", "amount")
+    ] = None
+    cost: Annotated[float | None, declare("Energy times its price. [price]", "price", "two decimals")] = None
+    cost_per_100km: Annotated[
+        float | None, declare("The same per distance. [price/100 km]", "price/\n100 km", "two decimals")
+    ] = None
+
+
+class EnergyShare(EnergyAmount, frozen=True, kw_only=True):
+    """Hold the energy that a part of a prediction takes from the battery, negative where it returns some."""
+
+    what: Annotated[str, declare("What takes the energy, in words.", "where the energy goes")]
+    name: Annotated[str, declare("Name of the term of the model, or of another part.", "term")]
+    kind: Annotated[str, declare("`term`, `correction`, `limit`, `unexplained`, or `measured` for the sum.")]
+
+    @property
+    def is_returned(self) -> bool:
+        """Whether a part of the model returns energy to the battery."""
+        return self.kind != UNEXPLAINED and (self.energy_kwh.value or 0.0) < 0.0
+
+
+class GroupEnergy(Record, frozen=True, kw_only=True):
+    """Hold where the energy of a group of rides went."""
+
+    name: Annotated[str, declare("Name of the group.", "group")]
+    rides: Annotated[int, declare("Number of rides.", "rides", "count")]
+    vehicles: Annotated[int, declare("Number of cars.", "cars", "count")]
+    distance_km: Annotated[float, declare("Distance. [km]", "km", "count")]
+    measured: Annotated[EnergyShare, declare("Measured energy.")]
+    shares: Annotated[list[EnergyShare], declare("Parts of the prediction, then what is unexplained.")]
+    returned_kwh: Annotated[float, declare("Sum of the parts that return energy, not negative. [kWh]")]
+
+
+class EnergySaving(EnergyAmount, frozen=True, kw_only=True):
+    """Hold the energy that another way of driving would save, by the model."""
+
+    what: Annotated[str, declare("What would differ.", "if, by the model")]
+    assumption: Annotated[str, declare("What the figure assumes, in words.")]
+
+
+class CarEnergyFactor(Record, frozen=True, kw_only=True):
+    """Hold the measured over the predicted energy of a car, beside its siblings."""
+
+    vehicle_id: Annotated[str, declare("Name of the car.", "car")]
+    vehicle_model: Annotated[str, declare("Key of its vehicle model.", "vehicle model")]
+    rides: Annotated[int, declare("Number of rides.", "rides", "count")]
+    factor: Annotated[EstimatedValue, declare("Measured over predicted energy. [1]", "factor", "three decimals")]
+    median: Annotated[
+        float, declare("Median factor of the cars of its vehicle model. [1]", "median of siblings", "three decimals")
+    ]
+    saved_kwh: Annotated[float, declare("Energy that the median would save. [kWh]", "would save, kWh", "signed")]
+
+
+class EnergySplit(Record, frozen=True, kw_only=True):
+    """Hold where the measured energy of rides went, by the terms of a model."""
+
+    model: Annotated[str, declare("Name of the model.")]
+    version: Annotated[str, declare("Version of the model.")]
+    by: Annotated[str, declare("How rides are grouped: `fleet`, `car`, `month`, `driver` or `model`.")]
+    price: Annotated[float | None, declare("Price of energy. [price/kWh]")]
+    read: Annotated[int, declare("Number of rides read.")]
+    left_out: Annotated[dict[str, int], declare("Reason -> number of rides left out.")]
+    first_date: str
+    last_date: str
+    fleet: Annotated[GroupEnergy, declare("All rides together.")]
+    groups: Annotated[list[GroupEnergy], declare("Groups by name; empty for `fleet`.")]
+    savings: Annotated[list[EnergySaving], declare("What other driving would save, by the model.")]
+    impossible: Annotated[list[str], declare("Why a saving cannot be told.")]
+    cars: Annotated[list[CarEnergyFactor], declare("Cars that have siblings, the largest saving first.")]
+    notes: Annotated[list[str], declare("Notes for the reader.")]
+
+
+class _Uncertainty(NamedTuple):
+    """Hold what the standard errors of the coefficients mean for energies.
+
+    Parameters
+    ----------
+    columns : (n, terms) float
+        Energy of each term per unit of its coefficient. [kWh/unit]
+    keys : (n,) object
+        Fit that applies to each ride.
+    """
+
+    columns: Floats
+    keys: NDArray[np.object_]
+    fits: Mapping[str, Fit]
+
+    def compute_half_widths(self, rows: NDArray[np.bool_]) -> tuple[list[float | None], float | None]:
+        """Return half of the 95 % intervals of the energies of the terms, and of their sum. [kWh]"""
+        terms = self.columns.shape[1]
+        of_terms, of_sum = np.zeros(terms), 0.0
+        for key in set(self.keys[rows]):
+            covariance = self.fits[key].covariance
+            if covariance is None:
+                return [None] * terms, None
+            sums, matrix = self.columns[rows & (self.keys == key)].sum(axis=0), np.array(covariance)
+            of_terms += np.diag(matrix) * sums**2
+            of_sum += float(sums @ matrix @ sums)
+        return (NORMAL_95 * np.sqrt(of_terms)).tolist(), NORMAL_95 * sqrt(max(of_sum, 0.0))
+
+
+class _Scale(NamedTuple):
+    """Hold what turns an energy of some rides into shares, distance and money."""
+
+    measured: float
+    distance_km: float
+    price: float | None
+
+    def describe_amount(self, energy: float, half: float | None = None) -> dict[str, Any]:
+        """Return the fields of an `EnergyAmount`. [kWh]"""
+        known, per = self.measured > 0.0, 100.0 / self.distance_km if self.distance_km > 0.0 else None
+        return {
+            "energy_kwh": EstimatedValue(value=energy, ci95=half),
+            "share": energy / self.measured if known else None,
+            "per_100km_kwh": EstimatedValue(
+                value=None if per is None else per * energy, ci95=None if per is None or half is None else per * half
+            ),
+            "range_km": self.distance_km * energy / self.measured if known else None,
+            "cost": None if self.price is None else self.price * energy,
+            "cost_per_100km": None if self.price is None or per is None else self.price * per * energy,
+        }
+
+
+def split_energy(
+    rides: pd.DataFrame, model: LinearModel, *, by: str = "fleet", price: float | None = None
+) -> EnergySplit:
+    """Return where the measured energy of rides went, by the terms of a model.
+
+    Parameters
+    ----------
+    by : str
+        One of `GROUP_COLUMNS`.
+    price : float, optional
+        Price of energy in any currency. [price/kWh]
+
+    Raises
+    ------
+    ModelError
+        Where no ride is fit for training, measured and predicted, or what groups the rides is unknown.
+    SettingsError
+        For an unknown way to group, and a price that is not 0 or above.
+    """
+    if by not in GROUP_COLUMNS:
+        raise SettingsError(f"rides cannot be grouped by {by!r}: choose from {', '.join(GROUP_COLUMNS)}")
+    if price is not None and not (isfinite(price) and price >= 0.0):
+        raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
+    chosen = select_rides(rides, {model.name: model})
+    names = _name_groups(chosen.rides, by)
+    parts, uncertainty = _split_predictions(model, chosen), _find_uncertainty(model, chosen.rides)
+    everything = np.ones(len(names), np.bool_)
+    fleet = _sum_group("fleet", everything, chosen, parts, uncertainty, price)
+    order = [share.name for share in fleet.shares]
+    groups = [
+        _sum_group(name, names == name, chosen, parts, uncertainty, price, order)
+        for name in (sorted(set(names)) if by != "fleet" else ())
+    ]
+    scale = _Scale(fleet.measured.energy_kwh.value or 0.0, fleet.distance_km, price)
+    savings, impossible = list[EnergySaving](), list[str]()
+    cars = _compare_siblings(model, chosen)
+    for saving in (_save_like_siblings(cars, scale), _save_by_slowing(model, fleet, scale)):
+        (impossible if isinstance(saving, str) else savings).append(saving)  # type: ignore[arg-type]
+    return EnergySplit(
+        model=model.name,
+        version=model.version,
+        by=by,
+        price=price,
+        read=chosen.read,
+        left_out=chosen.left_out,
+        first_date=str(chosen.rides["date"].min()),
+        last_date=str(chosen.rides["date"].max()),
+        fleet=fleet,
+        groups=groups,
+        savings=savings,
+        impossible=impossible,
+        cars=cars,
+        notes=_list_notes(model, chosen, fleet),
+    )
+
+
+def _name_groups(rides: pd.DataFrame, by: str) -> NDArray[np.object_]:
+    """Return the group of each ride."""
+    column = GROUP_COLUMNS[by]
+    if not column:
+        return np.full(len(rides), by, dtype=object)
+    if column not in rides or rides[column].isna().all():
+        raise ModelError(f"rides cannot be grouped by {by}: column {column!r} is unknown in all of them; group by car")
+    names = rides[column].astype(object).where(rides[column].notna(), UNKNOWN_GROUP).astype(str)
+    return (names.str[:7] if by == "month" else names).to_numpy(dtype=object)
+
+
+def _split_predictions(model: LinearModel, chosen: ComparedRides) -> dict[str, Floats]:
+    """Return the energy of each part of the predictions, whose sum is the prediction. [kWh]"""
+    predicted = chosen.predicted[model.name]
+    unlimited = replace(model, fits={key: replace(fit, limit=UNSET) for key, fit in model.fits.items()})
+    parts = unlimited.predict_parts(chosen.rides)
+    if model.count_limited(chosen.rides, predicted):
+        parts[LIMIT] = predicted - np.sum(list(parts.values()), axis=0)
+    return parts
+
+
+def _find_uncertainty(model: LinearModel, rides: pd.DataFrame) -> _Uncertainty:
+    """Return what the standard errors of the coefficients mean for the energies of rides."""
+    ones = (1.0,) * len(model.terms)
+    fits = {key: replace(fit, coefficients=ones, limit=UNSET) for key, fit in model.fits.items()}
+    parts = replace(model, fits=fits, correction=None).predict_parts(rides)
+    kinds = rides[VEHICLE_MODEL].to_numpy(dtype=object)
+    keys = np.array([kind if kind in model.fits else ANY for kind in kinds], dtype=object)
+    columns = np.reshape([parts[term.name] for term in model.terms], (len(model.terms), len(rides))).T
+    return _Uncertainty(columns, keys, model.fits)
+
+
+def _sum_group(
+    name: str,
+    rows: NDArray[np.bool_],
+    chosen: ComparedRides,
+    parts: Mapping[str, Floats],
+    uncertainty: _Uncertainty,
+    price: float | None,
+    order: list[str] | None = None,
+) -> GroupEnergy:
+    """Return where the energy of a group of rides went, in the given order or with the largest part first."""
+    rides = chosen.rides[rows]
+    measured, distance = float(chosen.measured[rows].sum()), float(rides["distance_km"].sum())
+    scale = _Scale(measured, distance, price)
+    halves, half_of_sum = uncertainty.compute_half_widths(rows)
+    sums = {part: float(energy[rows].sum()) for part, energy in parts.items()}
+    shares = [
+        EnergyShare(
+            what=WORDS.get(part, part.replace("_", " ") if part in get_library() else part),
+            name=part,
+            kind={CORRECTION: "correction", LIMIT: "limit"}.get(part, "term"),
+            **scale.describe_amount(energy, halves[place] if place < len(halves) else None),
+        )
+        for place, (part, energy) in enumerate(sums.items())
+    ]
+    shares.sort(key=lambda share: order.index(share.name) if order else -(share.energy_kwh.value or 0.0))
+    rest = scale.describe_amount(measured - sum(sums.values()), half_of_sum)
+    return GroupEnergy(
+        name=name,
+        rides=len(rides),
+        vehicles=int(rides[VEHICLE].nunique()),
+        distance_km=distance,
+        measured=EnergyShare(what=MEASURED, name=MEASURED, kind=MEASURED, **scale.describe_amount(measured)),
+        shares=[*shares, EnergyShare(what=UNEXPLAINED, name=UNEXPLAINED, kind=UNEXPLAINED, **rest)],
+        returned_kwh=-sum(min(energy, 0.0) for energy in sums.values()),
+    )
+
+
+def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEnergyFactor]:
+    """Return the factor of each car beside the median of its siblings, without what the model knows of single cars."""
+    shared = [float(not any(name.startswith(VEHICLE_SCOPE) for name in term.columns)) for term in model.terms]
+    fits = {
+        key: replace(fit, coefficients=tuple((np.array(fit.coefficients) * shared).tolist()))
+        for key, fit in model.fits.items()
+    }
+    usual = replace(model, cars={}, fits=fits).predict_energy(chosen.rides)
+    factors = list[tuple[str, str, int, float, EstimatedValue]]()
+    names = chosen.rides[[VEHICLE_MODEL, VEHICLE]].astype(str)
+    for kind, car in sorted(set(zip(names[VEHICLE_MODEL], names[VEHICLE], strict=True))):
+        rows = np.flatnonzero((names[VEHICLE_MODEL] == kind) & (names[VEHICLE] == car))
+        used, expected = chosen.measured[rows], usual[rows]
+        if used.sum() > 0.0 and expected.sum() > 0.0:
+            factor = hold_estimate(compute_clustered_ratio(used, expected, chosen.clusters[rows]))
+            factors.append((kind, car, len(rows), float(used.sum()), factor))
+    cars = []
+    for kind in dict.fromkeys(kind for kind, *_ in factors):
+        of_kind = [each for each in factors if each[0] == kind]
+        if len(of_kind) < LEAST_SIBLINGS:
+            continue
+        median = float(np.median([factor.value for *_, factor in of_kind]))
+        cars += [
+            CarEnergyFactor(
+                vehicle_id=car,
+                vehicle_model=kind,
+                rides=count,
+                factor=factor,
+                median=median,
+                saved_kwh=used * (1.0 - median / (factor.value or median)),
+            )
+            for _, car, count, used, factor in of_kind
+        ]
+    return sorted(cars, key=lambda car: -car.saved_kwh)
+
+
+def _save_like_siblings(cars: list[CarEnergyFactor], scale: _Scale) -> EnergySaving | str:
+    """Return what the median of the siblings would save, or why that is unknown."""
+    if not cars:
+        return f"{LIKE_SIBLINGS}: unknown, because fewer than {LEAST_SIBLINGS} cars of one vehicle model drove"
+    above = sum(max(car.saved_kwh, 0.0) for car in cars)
+    return EnergySaving(
+        what=LIKE_SIBLINGS,
+        assumption=(
+            f"Each of {format_count(len(cars), 'car')} takes the median factor of measured over predicted energy of "
+            f"its vehicle model, also those below it. The cars above it would save {above:.1f} kWh. The factor does "
+            "not separate a car from its drivers."
+        ),
+        **scale.describe_amount(sum(car.saved_kwh for car in cars)),
+    )
+
+
+def _save_by_slowing(model: LinearModel, fleet: GroupEnergy, scale: _Scale) -> EnergySaving | str:
+    """Return what slower driving would save, or why that is unknown."""
+    energies = {share.name: share.energy_kwh.value or 0.0 for share in fleet.shares}
+    drag = [term.name for term in model.terms if _is_air_drag(term)]
+    time = [term.name for term in model.terms if _acts_over_time(term)]
+    if not (drag and time):
+        lacking = " and none ".join(["of air drag"] * (not drag) + ["that acts over time"] * (not time))
+        return f"{DRIVEN_SLOWER}: unknown, because the model has no term {lacking}"
+    saved = (1.0 - SLOWER**2) * sum(energies[name] for name in drag)
+    added = (1.0 / SLOWER - 1.0) * sum(energies[name] for name in time)
+    return EnergySaving(
+        what=DRIVEN_SLOWER,
+        assumption=(
+            f"Air drag ({', '.join(drag)}) times 0.81, which is exact in still air, and what acts over time "
+            f"({', '.join(time)}) times 1/0.9, because the whole ride takes longer, stops included. All else "
+            "stays as it is, also speed changes."
+        ),
+        **scale.describe_amount(saved - added),
+    )
+
+
+def _list_effects(term: Term) -> list[Effect]:
+    """Return the effects of the library that a term multiplies."""
+    names = [column.removeprefix(EFFECT_PREFIX) for column in term.columns if column.startswith(EFFECT_PREFIX)]
+    found = [get_library().get(name.partition("@")[0]) for name in names]
+    return [each for each in found if each is not None]
+
+
+def _is_air_drag(term: Term) -> bool:
+    """Return whether a term is drag of the air, which grows with the square of the speed."""
+    known = AIR_DRAG | {each.name for each in group_by_topic()["air"]}
+    return any(each.name in known for each in _list_effects(term))
+
+
+def _acts_over_time(term: Term) -> bool:
+    """Return whether the energy of a term grows with the time of a ride."""
+    return bool({ACCESSORIES_COLUMN, "duration_s"} & set(term.columns)) or any(
+        each.per == "time" for each in _list_effects(term)
+    )
+
+
+def _list_notes(model: LinearModel, chosen: ComparedRides, fleet: GroupEnergy) -> list[str]:
+    """Return what a reader must know of the model."""
+    notes = [*describe_implausible(model), *describe_limited(model)]
+    if limited := model.count_limited(chosen.rides, chosen.predicted[model.name]):
+        notes.append(f"{format_count(limited, 'prediction')} stopped at the limit of the model")
+    if model.cars:
+        notes.append(f"factors of {format_count(len(model.cars), 'car')} are part of each term")
+    if all(share.energy_kwh.ci95 is None for share in fleet.shares):
+        notes.append("the model holds no standard errors of its coefficients, so there are no intervals")
+    return notes

@@ -1,0 +1,51 @@
+"""`socast waterfall`: split the measured energy of rides into the terms of a model and what it does not explain."""
+
+from typing import Annotated, Literal
+
+import typer
+
+from socast.core import models
+from socast.core.condition.energy_split import split_energy
+from socast.tools.terminal.output import (
+    HtmlFile,
+    JsonFile,
+    ModelName,
+    check_outputs,
+    select_model_files,
+    show_report,
+    write_json,
+)
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source
+
+
+@insert_ride_source
+def show_waterfall(
+    *,
+    source: RideSource,
+    model: ModelName,
+    by: Annotated[
+        Literal["fleet", "car", "month", "driver", "model"],
+        typer.Option(help="Also split the energy of each car, month, driver or vehicle model."),
+    ] = "fleet",
+    price: Annotated[float | None, typer.Option(metavar="PRICE", help="Price of a kWh, in any currency.")] = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Show where the measured energy goes: how much each term of a model takes, and what remains unexplained.
+
+    The parts add up to the measured energy of the rides that are fit for training, measured and predicted. Nothing is
+    fitted here.
+
+    Examples
+    --------
+    socast waterfall tables --model fitted.json --html waterfall.html
+    socast waterfall recordings/shift.mcap --model extended_physical --by car --price 0.12
+    socast waterfall tables --model fitted.json --by month --json - | jq .groups
+    """
+    source.check()
+    check_outputs([*select_model_files([model]), *source.list_read_files()], json_file, html_file)
+    chosen = models.load(model)
+    with source.open_tables(chosen.effects) as opened:
+        result = split_energy(opened.read_rides(chosen.effects), chosen, by=by, price=price)
+    write_json(json_file, "waterfall", result.to_json())
+    show_report("waterfall", result, html_file, json_file)
