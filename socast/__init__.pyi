@@ -16,6 +16,7 @@ from .errors import RecordingError as RecordingError
 from .errors import SettingsError as SettingsError
 from .errors import SocastError as SocastError
 from .estimators import RecipeRegressor as RecipeRegressor
+from .evaluation import assess_condition as assess_condition
 from .evaluation import compare_datasets as compare_datasets
 from .evaluation import compare_models as compare_models
 from .evaluation import evaluate_recipes as evaluate_recipes
@@ -67,6 +68,7 @@ __all__ = [
     "SocastError",
     "Tables",
     "add_effect",
+    "assess_condition",
     "check_effect",
     "compare_datasets",
     "compare_models",

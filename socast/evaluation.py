@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from socast.core.condition.car_condition import assess_condition as _assess
 from socast.core.condition.energy_split import EnergySplit
 from socast.core.condition.energy_split import split_energy as _split
+from socast.core.condition.records import FleetCondition
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
 from socast.core.evaluate.compare.models import compare_predictions as _compare
 from socast.core.evaluate.compare.models import select_rides as _sample
@@ -29,6 +31,7 @@ from socast.tools.commands.evaluate_soc import SocForecasts as _SocForecasts
 from socast.tools.commands.evaluate_soc import read_displays as _read_displays
 
 __all__ = [
+    "assess_condition",
     "compare_datasets",
     "compare_models",
     "evaluate_recipes",
@@ -174,6 +177,37 @@ def split_energy(
     True
     """
     return _split(rides, model, by=by, price=price)
+
+
+def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
+    """Return how each car is doing: its consumption beside its siblings, its usable capacity, and since when.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table of at least six dates.
+    model : LinearModel
+        The model that predicts the consumption.
+
+    Returns
+    -------
+    FleetCondition
+        What `socast condition --json` writes, as attributes, the worst car first; `.table` has one row for each car.
+
+    Raises
+    ------
+    ModelError
+        Where no ride is fit for training, measured and predicted, and where the dates are fewer than six.
+
+    Examples
+    --------
+    >>> import socast
+    >>> tables = socast.make_tables("recordings/autumn.mcap")
+    >>> condition = assess_condition(tables.rides, socast.load_model("extended_physical"))
+    >>> sorted(condition.table["vehicle_id"])
+    ['taxi-001', 'taxi-002', 'taxi-003', 'taxi-004', 'taxi-005']
+    """
+    return _assess(rides, model)
 
 
 def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]) -> RideTrace:

@@ -37,6 +37,7 @@ EXPORTS = [
     "SocastError",
     "Tables",
     "add_effect",
+    "assess_condition",
     "check_effect",
     "compare_datasets",
     "compare_models",
