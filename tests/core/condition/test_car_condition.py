@@ -9,7 +9,7 @@ from socast.core.condition import car_condition
 from socast.core.condition.car_condition import assess_condition
 from socast.core.condition.car_days import CarDays
 from socast.core.errors import ModelError
-from tests.support.car_day_fleets import make_fleet
+from socast.tools.bench.condition_fleets import make_fleet
 
 MODEL = models.BASIC_PHYSICAL
 NAMES = [f"car-{number}" for number in range(8)]

@@ -7,7 +7,7 @@ import pytest
 from socast.core.condition.car_days import gather_car_days, subtract_siblings
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
-from tests.support.car_day_fleets import make_fleet
+from socast.tools.bench.condition_fleets import make_fleet
 
 
 def rides(days=8, cars=("b", "a"), **columns):

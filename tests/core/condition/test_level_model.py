@@ -12,7 +12,7 @@ from socast.core.condition.level_model import (
     estimate_wandering,
     smooth_levels,
 )
-from tests.support.car_day_fleets import FIRST, make_fleet
+from socast.tools.bench.condition_fleets import FIRST, make_fleet
 
 KNOWN = Wandering(0.03, 0.15, 0.02, 0.03)
 

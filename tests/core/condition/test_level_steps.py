@@ -6,7 +6,7 @@ import pytest
 from socast.core.condition.car_days import subtract_siblings
 from socast.core.condition.level_model import CONSUMPTION, Wandering
 from socast.core.condition.level_steps import find_steps, separate_steps, subtract_steps
-from tests.support.car_day_fleets import FIRST, make_fleet
+from socast.tools.bench.condition_fleets import FIRST, make_fleet
 
 QUIET = Wandering(0.03, 0.0, 0.01, 0.03)
 
