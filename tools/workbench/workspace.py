@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
+from socast.core.condition.records import FleetCondition
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.records import Diagnosis
 from socast.core.errors import ModelError, SettingsError, SocastError
@@ -93,6 +94,7 @@ class Workspace:
         self.problem = ""
         self._tables: RideTables | None = None
         self._diagnoses: dict[tuple[str, int], Diagnosis] = {}
+        self._conditions: dict[tuple[str, int], FleetCondition] = {}
         self._gathered: tuple[tuple[str, int], Windows] | None = None
 
     @property
@@ -185,6 +187,17 @@ class Workspace:
         result = diagnose(rides, windows, node.model, dated=self.given.source.are_dated, report=report)
         self._diagnoses[node.model.version, version] = result
         return result
+
+    def find_condition(self, node: ModelNode) -> FleetCondition | None:
+        """Return the condition of the cars by a model if it was made of the present tables."""
+        return self._conditions.get((node.model.version, self.tables.version))
+
+    def assess_condition(self, node: ModelNode) -> None:
+        """Assess the condition of the cars, once for each model and table."""
+        from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
+
+        tables = self.tables
+        self._conditions[node.model.version, tables.version] = assess_condition(tables.rides, node.model)
 
     def describe(self) -> dict[str, Any]:
         """Return what was given and read, for the head of every page."""

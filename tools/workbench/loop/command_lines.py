@@ -36,6 +36,12 @@ def add_command(
     return shlex.join([*words, *_options(workspace), *also, "-o", out])
 
 
+def condition_commands(workspace: Workspace, node: ModelNode) -> list[str]:
+    """Return the commands that tell how each car is doing, and where the energy goes."""
+    words = [*_data(workspace), *_models([node]), *_options(workspace)]
+    return [shlex.join(["socast", name, *words]) for name in ("condition", "waterfall")]
+
+
 def live_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:
     """Return the command that runs the models after the first one as its shadows, in service."""
     return shlex.join(["socast", "live", *_models(nodes), *_options(workspace)])

@@ -6,7 +6,7 @@ from typing import Any, Final
 from socast.core.errors import SettingsError
 from socast.tools.workbench.jobs import Report
 from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
-from socast.tools.workbench.loop import causes, models, residuals, rides
+from socast.tools.workbench.loop import causes, condition, models, residuals, rides
 from socast.tools.workbench.loop.model_tree import ModelNode
 
 
@@ -125,6 +125,21 @@ def _get_own_effects(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:
     }
 
 
+def _get_condition(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
+    model = _find_model(workbench, request)
+    if (known := workbench.workspace.find_condition(model)) is not None:
+        return condition.describe_condition(workbench.workspace, model, known)
+    if running := workbench.jobs.find_running():
+        return {"job": running}
+    workspace = workbench.workspace
+
+    def assess(_: Report) -> dict[str, Any]:
+        workspace.assess_condition(model)
+        return {"model": model.name}
+
+    return {"job": workbench.jobs.start("assessing the condition of the cars", assess)}
+
+
 def _diagnose(workbench: Workbench, model: ModelNode) -> dict[str, Any]:
     """Return the record of the job that diagnoses a model, or of the one that must end first."""
     if running := workbench.jobs.find_running():
@@ -160,6 +175,7 @@ ROUTES: Final[tuple[JsonRoute, ...]] = (
     JsonRoute("/survey", _get_survey),
     JsonRoute("/failures", _get_failures),
     JsonRoute("/causes", _get_causes),
+    JsonRoute("/condition", _get_condition),
     JsonRoute("/effects/{effect}", _get_effect),
     JsonRoute("/own-effects", _get_own_effects),
     JsonRoute("/models", _list_models),

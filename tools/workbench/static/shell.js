@@ -15,6 +15,7 @@ const PAGES = {
   failures: { title: "Where it fails", load: () => import("./failures.js") },
   causes: { title: "What is missing", load: () => import("./causes.js") },
   models: { title: "Models", load: () => import("./models.js") },
+  condition: { title: "Condition", load: () => import("./condition.js") },
 };
 const FIRST = "fleet";
 const THEMES = ["auto", "light", "dark"];

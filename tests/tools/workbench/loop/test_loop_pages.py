@@ -203,7 +203,7 @@ def test_pages_are_accessible_and_fit_a_telephone(browser, server, scheme):
     narrow = Visit(browser, server, NARROW, scheme)
     page = narrow.page
     page.set_default_timeout(SLOW_MS)
-    ready = {"rides": ".chart", "failures": ".shares", "causes": "#add", "models": ".node"}
+    ready = {"rides": ".chart", "failures": ".shares", "causes": "#add", "models": ".node", "condition": ".share"}
     for name, place in ready.items():
         narrow.go(f"#/{name}")
         page.locator(place).first.wait_for()
@@ -211,6 +211,17 @@ def test_pages_are_accessible_and_fit_a_telephone(browser, server, scheme):
         assert page.evaluate("() => document.documentElement.scrollWidth") == NARROW["width"], name
     assert narrow.errors == []
     narrow.close()
+
+
+def test_condition_describes_each_car_and_where_the_energy_goes(visit):
+    page = visit.page
+    visit.go("#/condition")
+    page.get_by_role("heading", name="Where the energy goes").wait_for()
+    page.locator(".facets .chart").nth(4).wait_for()
+    assert page.get_by_role("region", name="Table of all cars").locator("tbody tr").count() == 5
+    assert "unexplained" in page.get_by_role("region", name="Where the energy goes").inner_text()
+    page.get_by_text("socast condition").wait_for(state="attached")
+    page.get_by_text("socast waterfall").wait_for(state="attached")
 
 
 def test_own_effect_is_read_again_when_its_file_changes(visit, own):

@@ -9,7 +9,7 @@ from socast.core import models
 from socast.core.errors import SettingsError
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.tools.terminal.ride_source import RideSource
-from socast.tools.workbench.loop import causes, residuals, rides
+from socast.tools.workbench.loop import causes, condition, residuals, rides
 from socast.tools.workbench.loop import models as model_records
 from socast.tools.workbench.workspace import Given, Workspace
 from tests.support.paths import ROOT
@@ -132,6 +132,18 @@ def test_diagnosis_names_the_hidden_effect_once_for_each_model(workspace, base):
     assert record["missing"][0]["command"].startswith("socast add headwind")
     assert workspace.diagnose(base) is diagnosis
     assert residuals.describe_failures(workspace, base, diagnosis)["location"]["sentences"]
+
+
+def test_condition_is_assessed_once_for_each_model_and_adds_up(workspace, base):
+    assert workspace.find_condition(base) is None
+    workspace.assess_condition(base)
+    record = condition.describe_condition(workspace, base, workspace.find_condition(base))
+    assert sorted(car["vehicle_id"] for car in record["cars"]) == [f"taxi-00{n}" for n in range(1, 6)]
+    assert record["about"]["rides"] == 537
+    assert all(record["words"])
+    parts = sum(share["energy_kwh"]["value"] for share in record["energy"]["shares"])
+    assert parts == pytest.approx(record["energy"]["measured"]["energy_kwh"]["value"])
+    assert [shlex.split(each)[1] for each in record["commands"]] == ["condition", "waterfall"]
 
 
 def test_any_candidate_shows_its_partial_residual(workspace, base):

@@ -1,0 +1,140 @@
+// The page "Condition": how each car is doing, since when, and where the energy of the fleet goes.
+
+import { chart } from "./chart.js";
+import { el } from "./dom.js";
+import { count, number, quantity, signed } from "./format.js";
+import { command, fill, getReady, heading, modelChoice, openWorkspace, put, query } from "./loop.js";
+
+const SHOWN = 12;
+const DAY_MS = 86400000;
+const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
+
+export function mount(root, first, context) {
+  let state = first;
+  let plots = [];
+
+  const clear = () => { plots.splice(0).forEach((plot) => plot.destroy()); };
+
+  async function draw() {
+    clear();
+    await fill(root, "Reading the rides", context, async () => {
+      const workspace = await openWorkspace(root, context);
+      if (!workspace) return;
+      const model = workspace.models.includes(state.model) ? state.model : workspace.first;
+      const record = await getReady(root, context, `/condition?${query({ model })}`, "Assessing the condition of the cars");
+      put(root,
+        heading("Condition", `How each car is doing beside its siblings, by ${model}, and where the energy goes.`, modelChoice(workspace, state, context)),
+        el("div", { class: "stack" },
+          el("section", { class: "card stack", "aria-label": "Findings" }, record.words.map((line) => el("p", {}, line)), about(record.about)),
+          drawCars(record.cars),
+          drawTable(record.cars),
+          drawEnergy(record.energy),
+          command(record.commands)));
+    });
+  }
+
+  function drawCars(cars) {
+    let shown = SHOWN;
+    const host = el("div", { class: "facets" });
+    const add = (from) => cars.slice(from, shown).forEach((car) => {
+      const place = el("div", {});
+      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || "Nothing is found.")));
+      plots.push(chart(place, describeTrend(car)));
+    });
+    const more = cars.length > shown && el("button", { type: "button", onclick: () => {
+      const from = shown;
+      shown += SHOWN;
+      add(from);
+      if (shown >= cars.length) more.remove();
+    } }, "Show more cars");
+    requestAnimationFrame(() => add(0)); // a chart is drawn once its place has a width
+    return el("section", { class: "card stack", "aria-label": "Each car" }, el("h2", {}, "Each car"), host, more);
+  }
+
+  draw();
+  return {
+    update(next) {
+      const same = next.model === state.model;
+      state = next;
+      if (!same) draw();
+    },
+    unmount: clear,
+  };
+}
+
+function about({ rides, car_days: days, first_date: first, last_date: last, day_sd_pct: sd }) {
+  return el("p", { class: "note small" }, `${count(rides, "ride")} on ${count(days, "car-day")} from ${first} to ${last}. `
+    + `The consumption of a car varies by ${quantity(sd, "%", 1)} from day to day.`);
+}
+
+function describeTrend(car) {
+  const parts = [[car.consumption, "--blue", "consumption"], [car.capacity, "--vermilion", "usable capacity"]].filter(([trend]) => trend);
+  const layers = [{ type: "rule", y: 0 }];
+  for (const [trend, colour, name] of parts) {
+    const x = trend.dates.map(toDay);
+    const half = trend.path_sd_pct.map((sd) => 2 * sd);
+    layers.push(
+      { type: "area", x, low: trend.path_pct.map((y, i) => y - half[i]), high: trend.path_pct.map((y, i) => y + half[i]), colour },
+      { type: "points", x, y: trend.measured_pct, colour, alpha: 0.45, name: `${name}, day` },
+      { type: "line", x, y: trend.path_pct, colour, name },
+    );
+  }
+  return {
+    title: `Condition of ${car.vehicle_id}`,
+    summary: car.words || "Nothing is found.",
+    height: 230,
+    x: { label: "Date", unit: "UTC", marks: markDates(parts.flatMap(([trend]) => trend.dates)) },
+    y: { label: "Beside expected", unit: "%" },
+    layers,
+  };
+}
+
+const toDay = (iso) => Date.parse(iso) / DAY_MS;
+
+// Marks of an axis of days: the beginnings of months, as many as there is room for; else the first and the last date.
+function markDates(dates) {
+  return (room) => {
+    const days = dates.map(toDay);
+    const [low, high] = [Math.min(...days), Math.max(...days)];
+    const text = (day) => {
+      const date = new Date(day * DAY_MS);
+      return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]} ${String(date.getUTCFullYear()).slice(2)}`;
+    };
+    const number = Math.min(room, 5, Math.max(2, Math.floor(high - low)));
+    const step = Math.max(1, Math.ceil((high - low) / (number - 1)));
+    return Array.from({ length: number }, (_, i) => low + i * step).filter((day) => day <= high).map((value) => ({ value, text: text(value) }));
+  };
+}
+
+function drawTable(cars) {
+  const between = (value, ends) => (value === null || value === undefined || !ends ? "–" : `${signed(value, 1)} (${signed(ends[0], 1)} to ${signed(ends[1], 1)})`);
+  const row = ({ vehicle_id: name, consumption, capacity, usable_kwh: usable, nominal_kwh: nominal }) => el("tr", {},
+    el("th", { scope: "row" }, name),
+    el("td", {}, between(consumption?.level_pct, consumption?.ci95_pct)),
+    el("td", {}, between(consumption?.rate_pct, consumption?.rate_ci95_pct)),
+    el("td", {}, (consumption?.steps ?? []).map((step) => `${step.since} ${signed(step.change_pct, 1)} %`).join(", ")),
+    el("td", {}, usable === null ? "–" : `${number(usable, 1)} of ${number(nominal, 1)}`),
+    el("td", {}, between(capacity?.rate_pct, capacity?.rate_ci95_pct)));
+  const heads = ["Car", "Consumption, %", "Rate, %/year", "Changed", "Usable, kWh", "Battery, %/year"];
+  return el("section", { class: "card stack", "aria-label": "All cars" }, el("h2", {}, "All cars"),
+    el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Table of all cars" },
+      el("table", {}, el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", {}, cars.map(row)))),
+    el("p", { class: "note small" }, "Beside the mean of the other cars of the vehicle model on the same dates. In parentheses: 95 % intervals. A dash: the dates are too few."));
+}
+
+function drawEnergy(energy) {
+  const most = Math.max(...energy.shares.map((share) => Math.abs(share.per_100km_kwh.value)), 1e-9);
+  const bar = ({ what, per_100km_kwh: amount, share }) => {
+    const part = el("span", { class: `fill${amount.value < 0 ? " returned" : ""}` });
+    part.style.width = `${(100 * Math.abs(amount.value)) / most}%`;
+    return el("div", { class: "share" },
+      el("span", {}, what),
+      el("span", { class: "track", "aria-hidden": "true" }, part),
+      el("span", {}, number(amount.value, 2), el("span", { class: "hidden" }, ` kWh per 100 km, ${number(100 * share)} %`)));
+  };
+  return el("section", { class: "card stack", "aria-label": "Where the energy goes" },
+    el("h2", {}, "Where the energy goes"),
+    el("p", {}, `${number(energy.measured.energy_kwh.value, 1)} kWh over ${number(energy.distance_km)} km: ${number(energy.measured.per_100km_kwh.value, 2)} kWh/100 km, of which, in kWh/100 km,`),
+    el("div", { class: "shares" }, energy.shares.map(bar)),
+    el("p", { class: "note small" }, "Negative: returned to the battery. The parts add up to the measured energy."));
+}
