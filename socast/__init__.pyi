@@ -16,6 +16,7 @@ from .errors import RecordingError as RecordingError
 from .errors import SettingsError as SettingsError
 from .errors import SocastError as SocastError
 from .estimators import RecipeRegressor as RecipeRegressor
+from .evaluation import compare_before_after as compare_before_after
 from .evaluation import compare_datasets as compare_datasets
 from .evaluation import compare_models as compare_models
 from .evaluation import evaluate_recipes as evaluate_recipes
@@ -67,6 +68,7 @@ __all__ = [
     "Tables",
     "add_effect",
     "check_effect",
+    "compare_before_after",
     "compare_datasets",
     "compare_models",
     "diagnose",

@@ -83,6 +83,9 @@ COMMANDS: Final = {
     "history": Command(
         "socast.tools.commands.history", "show_history", "Show how the error of a model fell, step by step."
     ),
+    "before-after": Command(
+        "socast.tools.commands.before_after", "compare", "Estimate whether a repair changed the consumption of cars."
+    ),
     "simulate": Command(
         "socast.tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),

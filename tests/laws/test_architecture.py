@@ -45,11 +45,11 @@ ORDER = (
         "socast.core.snapshot",
         "socast.core.pipeline",
     ),
-    *("socast.core.fit", "socast.core.evaluate", "socast.core.diagnose"),
+    *("socast.core.fit", "socast.core.evaluate", "socast.core.diagnose", "socast.core.condition"),
     *("socast.stream", "socast.tools", "socast"),
 )
 """Packages and root modules; each may import itself and those before it."""
-MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 10, 499
+MOST_PACKAGES, MOST_MODULES, MOST_LINES = 14, 10, 499
 ONLY_IN = {
     "zenoh": r"stream/zenoh_\w+\.py",
     "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",
