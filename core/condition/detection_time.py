@@ -22,12 +22,11 @@ def foresee_detection(
 ) -> list[DetectionTime]:
     """Return how many days after the date changes of these sizes take to be seen."""
     errors = [_foresee_error(panel, row, states[row]) for row in rows]
+    shared = 1.0 / (float(siblings[rows].min()) + 1.0)  # of the error of several cars beside the same siblings
 
     def compute_error(days: int) -> float:
-        of_cars = np.array([error(days) for error in errors])
-        alone = float(np.sqrt(1.0 / (of_cars**-2.0).sum()))
-        together = float(np.mean(of_cars)) / (siblings[rows].min() + 1.0) ** 0.5 if len(rows) > 1 else 0.0
-        return scale * max(alone, together)
+        variance = float(np.mean([error(days) ** 2 for error in errors]))
+        return scale * (variance * (shared + (1.0 - shared) / len(rows))) ** 0.5
 
     factor = float(ndtri(0.95) + ndtri(POWER))
     return [DetectionTime(size=size, days=_search(compute_error, np.log1p(size) / factor)) for size in sizes]

@@ -47,10 +47,11 @@ def try_placebos(
     pattern = cars[rows[0]]
     allowed = {int(row): np.ones(len(panel.dates), np.bool_) for row in others}
     allowed |= {row: campaign.classify(cars[row], panel.dates) == BEFORE for row in rows}
+    shifts = shifts[:: max(len(allowed) * len(shifts) // (10 * MOST_PLACEBOS), 1)]
     moved = [
         (row, shift, state)
-        for shift in shifts.tolist()
         for row in allowed
+        for shift in shifts.tolist()
         if (state := _move(panel, campaign, pattern, shift, row, allowed[row])) is not None
     ]
     every = -(-len(moved) // MOST_PLACEBOS)

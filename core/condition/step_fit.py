@@ -128,7 +128,8 @@ def combine_steps(
 ) -> StepFit:
     """Return the change of several cars together by generalised least squares; they share the error of their siblings.
 
-    The level of a deviation wanders with that of the mean of n siblings, a share 1/(n + 1) of its variance.
+    The level of a deviation wanders with that of the mean of n siblings, a share 1/(n + 1) of its variance. Cars
+    without siblings share the weather, to an unknown extent: their errors count as if they were the same.
     """
     wander = _compute_wander(panel.dates, panel.found)
     covariance = np.diag([fit.variance for fit in fits])
@@ -139,5 +140,8 @@ def combine_steps(
                 covariance[i, j] = covariance[j, i] = fits[i].weight @ both @ fits[j].weight
     solved = np.linalg.solve(covariance, np.ones(len(fits)))
     weight = solved / solved.sum()
+    alone = siblings[rows] == 0
+    errors = np.sqrt(np.diag(covariance))
+    covariance = np.where(np.outer(alone, alone), np.outer(errors, errors), covariance)
     size, level = (float(weight @ [each[k] for each in fits]) for k in (0, 2))
-    return StepFit(size, float(1.0 / solved.sum()), level, np.zeros(len(panel.dates)))
+    return StepFit(size, float(weight @ covariance @ weight), level, np.zeros(len(panel.dates)))

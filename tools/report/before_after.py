@@ -90,7 +90,8 @@ def _describe_detection(result: BeforeAfter) -> str:
         for each in result.detection
     ]
     first = parts[0].replace("% ", "% takes ", 1)
-    return f"To see {', '.join([first, *parts[1:]])} after the date (80 % power at 90 %)."
+    when = "of days on" if result.at is None else "after the date"
+    return f"To see {', '.join([first, *parts[1:]])} {when} (80 % power at 90 %)."
 
 
 def format_change_interval(interval: tuple[float, float]) -> str:

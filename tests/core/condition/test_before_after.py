@@ -70,6 +70,13 @@ def test_without_siblings_the_weather_counts_and_the_result_says_so(fleet):
     assert "No siblings of taxi-001" in result.notes[0]
 
 
+def test_several_cars_without_siblings_have_no_narrower_interval_than_one(fleet):
+    alone = fleet._replace(models=["leaf", "leaf", *[f"model-{i}" for i in range(6)]])
+    result = estimate(alone, Campaign(("taxi-001", "taxi-002"), AT))
+    errors = [np.log1p(each.change) / each.ratio for each in (*result.cars, result.change)]
+    assert min(errors[:2]) < errors[2] < max(errors[:2])
+
+
 def test_date_of_the_campaign_and_days_outside_the_window_are_left_out(fleet):
     def spoil(value):
         value[0, BEFORE_DAYS] = 0.9
