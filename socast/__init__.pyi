@@ -17,6 +17,7 @@ from .errors import SettingsError as SettingsError
 from .errors import SocastError as SocastError
 from .estimators import RecipeRegressor as RecipeRegressor
 from .evaluation import assess_condition as assess_condition
+from .evaluation import compare_before_after as compare_before_after
 from .evaluation import compare_datasets as compare_datasets
 from .evaluation import compare_models as compare_models
 from .evaluation import evaluate_recipes as evaluate_recipes
@@ -70,6 +71,7 @@ __all__ = [
     "add_effect",
     "assess_condition",
     "check_effect",
+    "compare_before_after",
     "compare_datasets",
     "compare_models",
     "diagnose",

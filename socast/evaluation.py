@@ -4,11 +4,17 @@ Every function returns what the command of the same purpose writes with `--json`
 """
 
 from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
 
 import pandas as pd
 
+from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH
+from socast.core.condition.before_after import compare_before_after as _compare_dates
+from socast.core.condition.campaign import Campaign as _Campaign
+from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_condition import assess_condition as _assess
+from socast.core.condition.car_days import gather_car_days as _gather
 from socast.core.condition.energy_split import EnergySplit
 from socast.core.condition.energy_split import split_energy as _split
 from socast.core.condition.records import FleetCondition
@@ -32,6 +38,7 @@ from socast.tools.commands.evaluate_soc import read_displays as _read_displays
 
 __all__ = [
     "assess_condition",
+    "compare_before_after",
     "compare_datasets",
     "compare_models",
     "evaluate_recipes",
@@ -119,6 +126,47 @@ def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Co
     [{'model': 'basic', 'rides': 57}]
     """
     return _show(Comparison, _compare(_sample(rides, models)))
+
+
+def compare_before_after(
+    rides: pd.DataFrame,
+    model: LinearModel,
+    vehicles: Sequence[str],
+    at: date,
+    *,
+    until: date | None = None,
+    days: int | None = None,
+    what: str = "",
+) -> BeforeAfter:
+    """Return how the consumption of cars changed on a date, at equal conditions and beside their siblings.
+
+    Parameters
+    ----------
+    rides : (n, columns) DataFrame
+        A ride table.
+    model : LinearModel
+        The model whose prediction stands for equal conditions.
+    vehicles : sequence of str
+        The cars that were repaired.
+    at : date
+        UTC date of the repair, which is left out; after the last ride, the result says how long a change will take
+        to be seen.
+    until : date, optional
+        Last date that counts.
+    days : int, optional
+        Number of days before and after that count. [d]
+    what : str
+        What was done, in words.
+
+    Raises
+    ------
+    ModelError
+        Where a car is unknown, or has too few days before or after.
+    """
+    last = None if until is None else until.toordinal()
+    campaign = _Campaign(tuple(vehicles), at.toordinal(), last, days, what=what)
+    car_days = _gather(_sample(rides, {model.name: model}), model.name, LEAST_CAMPAIGN_KWH)
+    return _compare_dates(car_days, campaign, model.name)
 
 
 def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> DatasetContrast:

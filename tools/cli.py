@@ -89,6 +89,9 @@ COMMANDS: Final = {
     "condition": Command(
         "socast.tools.commands.condition", "show_condition", "Tell how each car is doing, and since when."
     ),
+    "before-after": Command(
+        "socast.tools.commands.before_after", "compare", "Estimate whether a repair changed the consumption of cars."
+    ),
     "simulate": Command(
         "socast.tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),

@@ -82,8 +82,11 @@ class CarDays(NamedTuple):
     cold: Floats
 
 
-def gather_car_days(compared: ComparedRides, label: str) -> CarDays:
-    """Return the car-days of rides that a model of this label predicts."""
+def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAST_KWH) -> CarDays:
+    """Return the car-days of rides that a model of this label predicts.
+
+    Units: least_kwh [kWh].
+    """
     rides = compared.rides
     car, cars = pd.factorize(rides["vehicle_id"].astype(str), sort=True)
     ordinal = np.array([date.fromisoformat(str(each)).toordinal() for each in rides["date"]])
@@ -96,7 +99,7 @@ def gather_car_days(compared: ComparedRides, label: str) -> CarDays:
         return np.asarray(np.bincount(car * shape[1] + at, values, shape[0] * shape[1]).reshape(shape))
 
     measured, predicted = total(compared.measured), total(compared.predicted[label])
-    factor = np.divide(measured, predicted, out=np.full(shape, np.nan), where=predicted >= LEAST_KWH)
+    factor = np.divide(measured, predicted, out=np.full(shape, np.nan), where=predicted >= least_kwh)
     zero = np.zeros(shape)
     first = rides.groupby(car, sort=True)
     nominal = first["nominal_capacity_kwh"].first().to_numpy(np.float64)

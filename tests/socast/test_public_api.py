@@ -3,6 +3,7 @@
 import inspect
 import subprocess
 import sys
+from datetime import date
 from importlib.metadata import version
 
 import pandas as pd
@@ -39,6 +40,7 @@ EXPORTS = [
     "add_effect",
     "assess_condition",
     "check_effect",
+    "compare_before_after",
     "compare_datasets",
     "compare_models",
     "diagnose",
@@ -178,3 +180,9 @@ def test_simulated_fleet_is_a_recording_with_its_truth(tmp_path):
     summary = socast.simulate_fleet(tmp_path / "fleet.mcap", vehicles=1, shift_hours=0.5, seed=3)
     assert summary["messages"] == sum(1 for _ in socast.read_messages(tmp_path / "fleet.mcap"))
     assert (tmp_path / "fleet.truth.json").exists()
+
+
+def test_change_after_a_date_needs_days_on_both_sides(tables):
+    model = socast.load_model("extended_physical")
+    with pytest.raises(socast.ModelError, match="1 dates, and a condition takes 6: give more days"):
+        socast.compare_before_after(tables.rides, model, ["taxi-001"], date(2018, 1, 17))

@@ -22,6 +22,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "add": 2,
     "anonymise": 1,
     "ask": 1,
+    "before-after": 1,
     "check": 1,
     "cluster": 1,
     "compare": 2,

@@ -1,0 +1,163 @@
+"""Run `socast before-after`: estimate whether a repair or another campaign changed the consumption of cars."""
+
+from datetime import date
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from socast.core import models
+from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
+from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
+from socast.core.condition.car_days import gather_car_days
+from socast.core.errors import SettingsError
+from socast.core.evaluate.compare.models import select_rides
+from socast.core.settings import Settings
+from socast.tools.commands.spikein import parse_size
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.option_groups import insert_options
+from socast.tools.terminal.output import (
+    EffectFiles,
+    HtmlFile,
+    JsonFile,
+    ModelName,
+    check_outputs,
+    select_model_files,
+    show_report,
+    write_json,
+)
+from socast.tools.terminal.ride_source import Rides, RideSource
+
+VEHICLE = "vehicle_id"
+SPANS = (("begin", "end"), ("from", "to"))
+"""Columns of a file of days on; the last day is on too, and may be empty for days on until the end."""
+
+
+def make_source(
+    *, rides: Rides, effects_file: EffectFiles = None, settings: Settings, elevation: ElevationFiles = None
+) -> RideSource:
+    """Return the source of rides; here `--vehicles` names cars, so data sheets of cars are loaded with the tables."""
+    return RideSource(rides, settings, elevation or (), effects_file or ())
+
+
+@insert_options("source", insert_cleaning_options(make_source))
+def compare(
+    *,
+    source: RideSource,
+    model: ModelName,
+    vehicles: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Cars that were repaired. Default: those of --toggle.")
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option(metavar="DATE", help="UTC date of the repair, such as 2018-11-20; it is left out.")
+    ] = None,
+    until: Annotated[str | None, typer.Option(metavar="DATE", help="Last UTC date that counts.")] = None,
+    days: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Count only N days before and N days after.")
+    ] = None,
+    toggle: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Instead of --at: days on, in columns vehicle_id,begin,end."),
+    ] = None,
+    what: Annotated[str, typer.Option(metavar="TEXT", help='What was done, such as "new tyres".')] = "",
+    plan: Annotated[
+        str | None,
+        typer.Option(metavar="SHARE", help="Say too how long it takes to see a change of this size, such as 3%."),
+    ] = None,
+    html_file: HtmlFile = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Estimate whether the consumption of cars changed on a date, at equal conditions.
+
+    The measure is measured over predicted energy of each day, less that of the other cars of the same vehicle model on
+    the same dates. Placebo campaigns, which are the same estimate for other cars and dates, show what chance does, and
+    widen the interval where it does more than the model of the noise says.
+
+    With --at after the last rides, or --plan without --at, it says how long a change will take to be seen.
+
+    Examples
+    --------
+    socast before-after tables --model fitted.json --vehicles taxi-005 --at 2018-11-20 --what "new tyres"
+    socast before-after tables --model fitted.json --vehicles taxi-005,taxi-007 --plan 3%
+    socast before-after tables --model fitted.json --toggle eco-mode.csv --html eco-mode.html
+    """
+    source.check()
+    campaign = _read_campaign(vehicles, at, until, days, toggle, what, plan)
+    loaded = models.load(model)
+    given = [*source.list_read_files(), *select_model_files([model]), *([toggle] if toggle else [])]
+    check_outputs(given, json_file, html_file)
+    rides = select_rides(source.read_rides(loaded.effects), {loaded.name: loaded})
+    car_days = gather_car_days(rides, loaded.name, LEAST_CAMPAIGN_KWH)
+    if toggle is None and campaign.at is None:
+        campaign = campaign._replace(at=int(car_days.consumption.dates[-1]) + 1)
+    result = compare_before_after(car_days, campaign, loaded.name)
+    write_json(json_file, "before-after", result)
+    show_report("before_after", result, html_file, json_file)
+
+
+def _read_campaign(
+    vehicles: str | None,
+    at: str | None,
+    until: str | None,
+    days: int | None,
+    toggle: Path | None,
+    what: str,
+    plan: str | None,
+) -> Campaign:
+    """Return the campaign that the options describe."""
+    cars = tuple(filter(None, (part.strip() for part in (vehicles or "").split(","))))
+    sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
+    if toggle is not None:
+        if beside := [f"--{name}" for name, value in {"at": at, "until": until, "days": days}.items() if value]:
+            raise SettingsError(
+                f"{beside[0]} is given with --toggle, whose file holds all dates; leave one of them out"
+            )
+        spans = read_spans(toggle, cars)
+        return Campaign(
+            cars or tuple(dict.fromkeys(span.vehicle_id for span in spans)), None, None, None, spans, what, sizes
+        )
+    if not cars:
+        raise SettingsError("--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005")
+    if at is None and plan is None:
+        raise SettingsError("--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%")
+    first, last = (
+        None if each is None else _parse_date(name, each) for name, each in (("--at", at), ("--until", until))
+    )
+    if last is not None and (first is None or last <= first):
+        raise SettingsError(f"--until is {until}, and must be after --at{f', {at}' if at else ''}: give a later date")
+    return Campaign(cars, first, last, days, (), what, sizes)
+
+
+def _parse_date(place: str, text: str) -> int:
+    """Return the ordinal of a date."""
+    try:
+        return date.fromisoformat(text.strip()).toordinal()
+    except ValueError:
+        raise SettingsError(f"{place} is '{text}'; give a date such as 2018-11-20") from None
+
+
+def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
+    """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign."""
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        raise SettingsError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
+    columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)
+    if columns is None or (VEHICLE not in table and not cars):
+        raise SettingsError(
+            f"{path} has the columns {', '.join(map(str, table))}: its header must be {VEHICLE},begin,end"
+        )
+    spans = []
+    for line, row in enumerate(table.to_dict("records"), start=2):
+        begin = _parse_date(f"{path}, line {line}: {columns[0]}", row[columns[0]])
+        end = row[columns[1]].strip()
+        last = _parse_date(f"{path}, line {line}: {columns[1]}", end) if end else date.max.toordinal()
+        if last < begin:
+            raise SettingsError(f"{path}, line {line}: the end {end} is before the begin {row[columns[0]]}; swap them")
+        named = [row[VEHICLE].strip()] if VEHICLE in table else cars
+        spans += [CampaignSpan(car, begin, last) for car in named if not cars or car in cars]
+    if not spans:
+        raise SettingsError(f"{path} holds no days on of {', '.join(cars) or 'any car'}: add a line for each period")
+    return tuple(spans)

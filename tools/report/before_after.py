@@ -1,0 +1,258 @@
+"""Show whether the consumption of cars changed with a campaign: in the terminal, and as a page."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import plotly.graph_objects as go
+from rich.console import Console
+from rich.text import Text
+
+from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
+from socast.core.formatting import format_count as count_things
+from socast.core.formatting import format_minus
+from socast.tools.report.cells import Cell, ReportTable, Row, format_count, format_percent
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.figure_style import add_reference_line, apply_layout, escape_label, get_style
+from socast.tools.report.page import escape_text, render_document, save
+from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
+
+TITLE: Final = "Before and after"
+SIDES: Final = (("before", "off", 1), ("after", "on", 4))
+"""Name of the days before and after, the same of days off and on, and the place of their style."""
+PLACEBOS: Final = (
+    "The same estimate for cars without a campaign, and for earlier dates of its own cars. Where their spread exceeds "
+    "that of the model, it widens the interval. Neighbouring dates share most of their days, so the number of "
+    "independent placebo campaigns is smaller."
+)
+FAR: Final = 6.0
+"""Distance from the levels, in medians of it, beyond which a day is outside the figure."""
+BINS: Final = 31
+"""Number of bars of the placebo campaigns."""
+
+
+def show(result: BeforeAfter, console: Console) -> None:
+    """Print the change of each car, then the answer in words."""
+    for section in _build_sections(result):
+        print_section(section, console)
+    console.print()
+    for line in describe_campaign(result):
+        console.print(Text(line))
+
+
+def write(result: BeforeAfter, path: Path) -> None:
+    """Write the answer as a self-contained page."""
+    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe_campaign(result))
+    foot = "<p>Made by <code>socast before-after</code>.</p>"
+    drawn = {"change": _illustrate_days(result), "placebo": _illustrate_placebos(result)}
+    page = render_document("before-after", TITLE, lead, _build_sections(result), lambda key: drawn.get(key, []), foot)
+    save(page, path)
+
+
+def describe_campaign(result: BeforeAfter) -> list[str]:
+    """Return the answer, how long a change takes to be seen, and what limits the answer."""
+    return [_describe_change(result), _describe_detection(result), *result.notes]
+
+
+def _describe_change(result: BeforeAfter) -> str:
+    """Return the change of all cars together, with its interval and the placebo campaigns."""
+    what = f" ({result.what})" if result.what else ""
+    change = result.change
+    if change is None:
+        ends = f"The rides end on {_format_date(result.last_date)}"
+        return f"{ends}, before {_format_date(result.at or '')}{what}: nothing can be compared yet."
+    cars, several = " and ".join(result.vehicles), len(result.vehicles) > 1
+    when = "on days on" if result.at is None else f"since {_format_date(result.at)}"
+    until = f" until {_format_date(result.until)}" if result.until else ""
+    words = f"90 % interval {format_change_interval(change.ci90)}. {_describe_placebos(result)}"
+    if change.is_shown:
+        return f"{cars} {'take' if several else 'takes'} {_word_change(change.change)} {when}{until}{what}: {words}"
+    return f"No change of {cars} is shown {when}{until}{what}: {_word_change(change.change)}, {words}"
+
+
+def _describe_placebos(result: BeforeAfter) -> str:
+    """Return how many placebo campaigns show as much."""
+    all_of_them, as_large = len(result.placebo.campaigns), result.placebo.as_large
+    if not all_of_them:
+        return "There are no placebo campaigns."
+    number = "None" if as_large == 0 else format_count(as_large)
+    return f"{number} of {format_count(all_of_them)} placebo campaigns {'show' if as_large > 1 else 'shows'} as much."
+
+
+def _describe_detection(result: BeforeAfter) -> str:
+    """Return how long changes take to be seen, in one line."""
+    parts = [
+        f"{_format_size(each.size)} "
+        + ("more than a year" if each.days is None else f"about {count_things(each.days, 'day')}")
+        for each in result.detection
+    ]
+    first = parts[0].replace("% ", "% takes ", 1)
+    when = "of days on" if result.at is None else "after the date"
+    return f"To see {', '.join([first, *parts[1:]])} {when} (80 % power at 90 %)."
+
+
+def format_change_interval(interval: tuple[float, float]) -> str:
+    """Return the interval of a change in words.
+
+    Examples
+    --------
+    >>> format_change_interval((-0.056, -0.026)), format_change_interval((-0.009, 0.025))
+    ('2.6 to 5.6 % less', '0.9 % less to 2.5 % more')
+    """
+    low, high = interval
+    if low * high < 0.0:
+        return f"{_word_change(low)} to {_word_change(high)}"
+    near, far = sorted((abs(low), abs(high)))
+    return f"{100.0 * near:.1f} to {100.0 * far:.1f} % {'less' if high <= 0.0 else 'more'}"
+
+
+def _word_change(change: float) -> str:
+    return f"{format_percent(abs(change))} {'less' if change < 0.0 else 'more'}"
+
+
+def _format_size(size: float) -> str:
+    return f"{100.0 * size:g} %"
+
+
+def _format_date(text: str) -> str:
+    """Return a date in words."""
+    day = datetime.fromisoformat(text).replace(tzinfo=UTC)
+    return f"{day.day} {day:%B %Y}"
+
+
+def _build_sections(result: BeforeAfter) -> list[Section]:
+    """Return the sections of the report."""
+    limits = {INTERVAL: lambda value: format_minus(f"{100.0 * value[0]:+.1f} to {100.0 * value[1]:+.1f} %")}
+    every = [*result.cars, result.change] if result.change and len(result.cars) > 1 else result.cars
+    changes = tabulate_records("Change of consumption", every, CarChange, total="all", formats={**FORMATS, **limits})
+    about = (
+        f"Measured over predicted energy (model {result.model}) of each day, less that of other cars of the same "
+        "vehicle model on the same dates."
+    )
+    return [
+        *([Section("change", "Change of consumption", about, [changes])] if every else []),
+        Section("placebo", "Placebo campaigns", PLACEBOS, [_tabulate_placebos(result)]),
+    ]
+
+
+def _tabulate_placebos(result: BeforeAfter) -> ReportTable:
+    """Return what the placebo campaigns say of the standard error."""
+    placebo = result.placebo
+    cells = (
+        format_count(len(placebo.campaigns)),
+        format_count(round(placebo.independent)),
+        format_digits(placebo.spread),
+        format_digits(placebo.scale),
+        "" if result.change is None else format_count(placebo.as_large),
+    )
+    heads = ("number", "independent", "spread / model's", "factor of interval", "show as much")
+    return ReportTable("Placebo campaigns", "", heads, (Row("placebo campaigns", tuple(map(Cell, cells))),))
+
+
+def _illustrate_days(result: BeforeAfter) -> list[Illustration]:
+    """Return a figure of the days of each car."""
+    drawn = []
+    for place, one in enumerate(result.series):
+        low, high = _find_range(one)
+        outside = sum(not low <= 100.0 * each <= high for each in one.deviation)
+        dashed = "" if result.at is None else " Dashed: the date."
+        beyond = f" Outside the figure: {count_things(outside, 'day')}." if outside else ""
+        caption = (
+            "Points: measured over predicted energy of a day, beside the other cars and the car before. Lines: "
+            f"their smoothed mean with its 90 % band.{dashed}{beyond}"
+        )
+        title = f"{one.vehicle_id}, day by day"
+        drawn.append(Illustration(f"days-{place}", title, caption, draw_days(result, one)))
+    return drawn
+
+
+def _find_range(one: CarSeries) -> tuple[float, float]:
+    """Return the range of the figure, which holds all days but those far off. [%]"""
+    days = 100.0 * np.array(one.deviation)
+    levels = 100.0 * np.array([*one.level_before.level, *one.level_after.level])
+    reach = FAR * float(np.median(np.abs(days - np.median(days)))) + 1.0
+    low, high = float(levels.min()) - reach, float(levels.max()) + reach
+    return max(low, float(days.min()) - 1.0), min(high, float(days.max()) + 1.0)
+
+
+def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:
+    """Return a figure of the daily deviation of a car from its siblings over the date."""
+    traces: list[Any] = []
+    for place, (path, side) in enumerate(zip((one.level_before, one.level_after), SIDES, strict=True)):
+        name, look = side[1 if result.at is None else 0], get_style(side[2])
+        chosen = [i for i, after in enumerate(one.after) if after == bool(place)]
+        marker = {"symbol": look.symbol if place else f"{look.symbol}-open", "size": 7, "color": look.colour}
+        traces += [
+            _draw_band(path, look.colour),
+            go.Scatter(
+                name=f"day {name}",
+                x=[one.date[i] for i in chosen],
+                y=[100.0 * one.deviation[i] for i in chosen],
+                mode="markers",
+                marker=marker,
+            ),
+            go.Scatter(
+                name=f"smoothed, {name}",
+                x=path.date,
+                y=[100.0 * each for each in path.level],
+                mode="lines",
+                line={"color": look.colour, "width": 2.5, "dash": "solid" if place else "dash"},
+            ),
+        ]
+    figure = apply_layout(go.Figure(traces), 420)
+    figure.layout.xaxis.title.text = "date [UTC]"
+    figure.layout.yaxis.title.text = "consumption beside siblings [%]"
+    figure.layout.yaxis.range = _find_range(one)
+    if result.at is not None:
+        milliseconds = 1000.0 * datetime.fromisoformat(result.at).replace(tzinfo=UTC).timestamp()
+        add_reference_line(figure, escape_label(result.what or result.at), milliseconds)
+    return figure
+
+
+def _draw_band(path: LevelPath, colour: str) -> go.Scatter:
+    """Return the band of a level."""
+    return go.Scatter(
+        x=[*path.date, *reversed(path.date)],
+        y=[100.0 * each for each in (*path.high, *reversed(path.low))],
+        fill="toself",
+        mode="lines",
+        line={"width": 0, "color": colour},
+        opacity=0.3,
+        hoverinfo="skip",
+        showlegend=False,
+    )
+
+
+def _illustrate_placebos(result: BeforeAfter) -> list[Illustration]:
+    """Return the figure of the placebo campaigns."""
+    if result.change is None or not result.placebo.campaigns:
+        return []
+    caption = (
+        "Number of placebo campaigns by their estimate, at the precision of this campaign. Dashed: the estimate of "
+        "this campaign."
+    )
+    return [Illustration("placebo", "What chance does", caption, draw_placebos(result, result.change))]
+
+
+def draw_placebos(result: BeforeAfter, change: CarChange) -> go.Figure:
+    """Return the distribution of placebo estimates with the estimate marked."""
+    error = float(np.log1p(change.change)) / change.ratio
+    estimates = 100.0 * np.expm1(error * np.array([each.ratio for each in result.placebo.campaigns]))
+    reach = 1.05 * max(float(np.abs(estimates).max()), abs(100.0 * change.change))
+    counts, edges = np.histogram(estimates, BINS, (-reach, reach))
+    look = get_style(1)
+    bars = go.Bar(
+        name="placebo campaigns",
+        x=(0.5 * (edges[1:] + edges[:-1])).tolist(),
+        y=counts.tolist(),
+        marker={"color": look.colour},
+    )
+    figure = apply_layout(go.Figure([bars]), 320)
+    figure.layout.bargap = 0.05
+    figure.layout.xaxis.title.text = "estimated change [%]"
+    figure.layout.yaxis.title.text = "placebo campaigns [1]"
+    add_reference_line(figure, "estimate", 100.0 * change.change)
+    return figure
