@@ -12,8 +12,15 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats
-from socast.core.condition.car_days import CarDays, Series, gather_car_days, subtract_siblings
-from socast.core.condition.level_model import CAPACITY, CONSUMPTION, Path, Wandering, smooth_levels
+from socast.core.condition.car_days import (
+    LEAST_SIBLINGS,
+    CarDays,
+    Series,
+    forget_cars,
+    gather_car_days,
+    subtract_siblings,
+)
+from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Wandering, smooth_levels
 from socast.core.condition.level_steps import LevelStep, separate_steps, subtract_steps
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
 from socast.core.evaluate.compare.models import select_rides
@@ -23,15 +30,17 @@ from socast.core.stats.scores import NORMAL_95
 
 COLD_SD: Final = 0.004
 """Standard deviation of the share of the capacity that a kelvin takes off, before any data. [1/K]"""
+FEW_CARS: Final = 12
+"""Number of cars of a vehicle model up to which a step of one of them shifts the mean of the others noticeably."""
 LARGEST_RATE_SD: Final = 0.8
-"""Standard deviation of a rate over that before any data, from which on the data tell little of it. [1]"""
+"""A rate is told if its standard deviation is less than this share of that before any data. [1]"""
 CLEAR_SDS: Final = 3.0
-"""Standard deviations from which a rate is told; by chance, one car in 370 has such a rate."""
+"""Number of standard deviations from which a rate is a finding; by chance, one car in 370 has such a rate."""
 LEAST_DAYS: Final = 6
 """Number of car-days below which nothing is told of a car."""
 
 
-class _Followed(NamedTuple):
+class Followed(NamedTuple):
     """Hold a quantity of n cars: its series, its path with the steps in it, and the steps."""
 
     series: Series
@@ -53,33 +62,57 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
     ModelError
         If there are no rides to compare, or fewer than six dates.
     """
-    compared = select_rides(rides, {model.name: model})
+    compared = select_rides(rides, {model.name: forget_cars(model)})
     days = gather_car_days(compared, model.name)
-    beside, _ = subtract_siblings(days.consumption, days.models, CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2)
-    consumption = _follow(beside, CONSUMPTION)
+    consumption = follow_beside_siblings(days.consumption, days.models)
     capacity, cold_loss = _subtract_cold(days)
-    batteries = _follow(capacity, CAPACITY)
+    batteries = follow(capacity, CAPACITY)
     cars = [_assess_car(days, i, consumption, batteries) for i in range(len(days.cars))]
     known = np.isfinite(days.consumption.value)
+    sizes = consumption.found.of_day**2, consumption.found.of_amount**2
     return FleetCondition(
         model=model.name,
         rides=len(compared.rides),
         car_days=int(known.sum()),
+        car_days_left_out=days.left_out,
+        energy_left_out=days.energy_left_out,
         first_date=_write_date(days.consumption.dates[0]),
         last_date=_write_date(days.consumption.dates[-1]),
         left_out=compared.left_out,
-        day_sd_pct=100.0 * consumption.found.of_day,
+        day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(*sizes)[known]))),
         cold_loss_pct=None if cold_loss is None else 100.0 * cold_loss,
-        cars=sorted(cars, key=_rank, reverse=True),
+        cars=sorted(cars, key=_rank),
     )
 
 
-def _follow(series: Series, prior: Wandering) -> _Followed:
+def follow(series: Series, prior: Wandering) -> Followed:
     """Return the paths and the steps of a quantity."""
     found, heavy, steps = separate_steps(series, prior)
-    path = smooth_levels(subtract_steps(heavy, steps), found)
-    level = subtract_steps(series._replace(value=path.level), steps, 1.0).value
-    return _Followed(series, path._replace(level=level), steps, found)
+    path = smooth_levels(heavy, found, [[each.since for each in of_car] for of_car in steps])
+    return Followed(series, path, steps, found)
+
+
+def follow_beside_siblings(series: Series, models: list[str]) -> Followed:
+    """Return the paths and the steps of the consumption of cars beside their siblings.
+
+    A step of one car in a small fleet shifts the mean of its siblings, and so all of them seem to have one. The car
+    with the clearest steps is therefore taken first: as a sibling it counts without them, and the others are judged
+    anew.
+    """
+    sizes = CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2
+    explained: dict[int, list[LevelStep]] = {}
+    counts = {name: models.count(name) for name in models}
+    while True:
+        taken = [explained.get(i, []) for i in range(len(models))]
+        without = subtract_steps(series, taken).value
+        beside = subtract_siblings(series, models, *sizes, without)
+        found, heavy, steps = separate_steps(beside, CONSUMPTION)
+        open_cars = [i for i, each in enumerate(steps) if each and i not in explained and counts[models[i]] <= FEW_CARS]
+        if not open_cars or len(explained) >= FEW_CARS:
+            path = smooth_levels(heavy, found, [[each.since for each in of_car] for of_car in steps])
+            return Followed(beside, path, steps, found)
+        clearest = max(open_cars, key=lambda i: max(abs(each.size) / each.sd for each in steps[i]))
+        explained = {i: steps[i] for i in (*explained, clearest)}
 
 
 def _subtract_cold(days: CarDays) -> tuple[Series, float | None]:
@@ -90,35 +123,42 @@ def _subtract_cold(days: CarDays) -> tuple[Series, float | None]:
         return series, None
     weight = np.where(known, 1.0 / series.compute_variance(CAPACITY.of_day**2, CAPACITY.of_amount**2), 0.0)
     sums = np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
-    filled = np.where(known, value, 0.0)
-    apart = filled - (weight * filled).sum(axis=1, keepdims=True) / sums
-    cold = days.cold - (weight * days.cold).sum(axis=1, keepdims=True) / sums
-    slope = -float((weight * cold * apart).sum() / ((weight * cold**2).sum() + COLD_SD**-2.0))
-    return series._replace(value=value + slope * days.cold), slope
+    years = np.broadcast_to((series.dates - series.dates[0]) / YEAR, value.shape)
+
+    def center(column: Floats) -> Floats:
+        filled = np.where(known, column, 0.0)
+        return np.asarray(filled - (weight * filled).sum(axis=1, keepdims=True) / sums)
+
+    design = np.stack([-center(days.cold), center(years)])  # all cars also age: a winter is told from a trend
+    precision = np.einsum("int,nt,jnt->ij", design, weight, design) + np.diag([COLD_SD**-2.0, CAPACITY.rate**-2.0])
+    covariance = np.linalg.inv(precision)
+    slope = float((covariance @ np.einsum("int,nt,nt->i", design, weight, center(value)))[0])
+    extra = series.extra + covariance[0, 0] * days.cold**2
+    return series._replace(value=value + slope * days.cold, extra=extra), slope
 
 
-def _assess_car(days: CarDays, i: int, consumption: _Followed, batteries: _Followed) -> CarCondition:
+def _assess_car(days: CarDays, i: int, consumption: Followed, batteries: Followed) -> CarCondition:
     """Return how a car is doing."""
     same = np.array([each == days.models[i] for each in days.models])
     same[i] = False
     others = consumption.path.level[same, -1]
     siblings = int(np.isfinite(others).sum())
-    expected, of_expected = 0.0, 0.0
-    if siblings:
-        expected = float(np.nanmean(others))
-        of_expected = float(np.nanvar(others)) / siblings if siblings > 1 else 0.0
+    expected, of_expected, has_siblings = 0.0, 0.0, siblings >= LEAST_SIBLINGS
+    if has_siblings:
+        known = others[np.isfinite(others)]
+        expected, of_expected = float(known.mean()), float(known.var(ddof=1)) / siblings
     nominal = float(days.nominal_kwh[i])
     return CarCondition(
         vehicle_id=days.cars[i],
         vehicle_model=days.models[i],
-        siblings=siblings,
+        siblings=siblings if has_siblings else 0,
         consumption=_describe_trend(consumption, i, expected, of_expected),
         capacity=_describe_trend(batteries, i, 0.0, 0.0),
         nominal_kwh=nominal if np.isfinite(nominal) else None,
     )
 
 
-def _describe_trend(followed: _Followed, i: int, expected: float, of_expected: float) -> Trend | None:
+def _describe_trend(followed: Followed, i: int, expected: float, of_expected: float) -> Trend | None:
     """Return the trend of a car beside what is expected, None where too few days are known."""
     value, path = followed.series.value[i], followed.path
     known = np.isfinite(value)
@@ -139,7 +179,7 @@ def _describe_trend(followed: _Followed, i: int, expected: float, of_expected: f
         dates=[_write_date(each) for each in followed.series.dates[shown]],
         measured_pct=_to_percents(value[shown] - expected),
         path_pct=_to_percents(path.level[i, shown] - expected),
-        path_sd_pct=[100.0 * each for each in path.sd[i, shown].tolist()],
+        path_sd_pct=(100.0 * np.hypot(path.sd[i, shown], np.sqrt(of_expected))).tolist(),
     )
 
 
@@ -155,11 +195,9 @@ def _describe_step(step: LevelStep) -> ConditionStep:
     )
 
 
-def _rank(car: CarCondition) -> float:
-    """Return how badly a car is doing: the least that it takes more, or the least that its battery lacks. [%]"""
-    more = car.consumption.ci95_pct[0] if car.consumption else -100.0
-    less = -car.capacity.ci95_pct[1] if car.capacity else -100.0
-    return max(more, less)
+def _rank(car: CarCondition) -> tuple[bool, float]:
+    """Return the place of a car: those with a finding first, and of these the one that takes most."""
+    return not car.has_finding, -(car.consumption.level_pct if car.consumption else -100.0)
 
 
 def _around(value: float, sd: float) -> ConfidenceInterval:

@@ -12,16 +12,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
+from socast.core.fit.ride_blocks import get_numbers
+from socast.core.formatting import format_count
+from socast.core.models import LinearModel
+from socast.core.models.features import VEHICLE_SCOPE
 
 LEAST_DATES: Final = 6
 """Number of dates below which nothing is told of a condition."""
-LEAST_KWH: Final = 0.3
+LEAST_KWH: Final = 0.1
 """Least predicted energy of a car-day. [kWh]"""
-LEAST_FALL: Final = 3.0
+LEAST_FALL: Final = 5.0
 """Least fall of the display over the rides of a car-day from which its capacity is estimated. [%]"""
 LEAST_SIBLINGS: Final = 2
 """Least number of other cars with a measurement on a date whose mean is taken off."""
@@ -67,6 +72,10 @@ class CarDays(NamedTuple):
         Usable capacity by the catalogue. [kWh]
     consumption : Series
         Measured over predicted energy; its amount is the predicted energy [kWh].
+    left_out : int
+        Number of car-days with rides that have no such value.
+    energy_left_out : float
+        Their share of the measured energy. [1]
     capacity : Series
         Usable capacity over that of the catalogue; its amount is the square of the fall of the display over the number
         of rides [%^2].
@@ -80,6 +89,18 @@ class CarDays(NamedTuple):
     consumption: Series
     capacity: Series
     cold: Floats
+    left_out: int = 0
+    energy_left_out: float = 0.0
+
+
+def forget_cars(model: LinearModel) -> LinearModel:
+    """Return a model without what it knows of single cars, which is what a condition is to show."""
+    shared = [not any(name.startswith(VEHICLE_SCOPE) for name in term.columns) for term in model.terms]
+    fits = {
+        key: replace(fit, coefficients=tuple((np.array(fit.coefficients) * shared).tolist()))
+        for key, fit in model.fits.items()
+    }
+    return replace(model, cars={}, fits=fits)
 
 
 def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAST_KWH) -> CarDays:
@@ -92,7 +113,9 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
     ordinal = np.array([date.fromisoformat(str(each)).toordinal() for each in rides["date"]])
     dates, at = np.unique(ordinal, return_inverse=True)
     if len(dates) < LEAST_DATES:
-        raise ModelError(f"the rides are of {len(dates)} dates, and a condition takes {LEAST_DATES}: give more days")
+        raise ModelError(
+            f"the rides are of {format_count(len(dates), 'date')}, and a condition takes {LEAST_DATES}: give more days"
+        )
     shape = len(cars), len(dates)
 
     def total(values: Floats) -> Floats:
@@ -101,24 +124,30 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
     measured, predicted = total(compared.measured), total(compared.predicted[label])
     factor = np.divide(measured, predicted, out=np.full(shape, np.nan), where=predicted >= least_kwh)
     zero = np.zeros(shape)
-    first = rides.groupby(car, sort=True)
-    nominal = first["nominal_capacity_kwh"].first().to_numpy(np.float64)
-    energy = rides["energy_vi_kwh"].to_numpy(np.float64)
-    fall = (rides["soc_start_pct"] - rides["soc_end_pct"]).to_numpy(np.float64)
-    known = np.isfinite(energy) & np.isfinite(fall)
+    first = np.unique(car, return_index=True)[1]
+    nominal, energy, ambient = (_read(rides, name) for name in ("nominal_capacity_kwh", "energy_vi_kwh", "ambient_c"))
+    nominal, fall = nominal[first], _read(rides, "soc_start_pct") - _read(rides, "soc_end_pct")
+    known = np.isfinite(energy) & np.isfinite(fall) & np.isfinite(ambient)
     falls, used, number = (total(np.where(known, each, 0.0)) for each in (fall, energy, np.ones(len(fall))))
     whole = np.divide(100.0 * used, falls, out=np.full(shape, np.nan), where=falls >= LEAST_FALL)
-    ambient = np.nan_to_num(rides["ambient_c"].to_numpy(np.float64), nan=MILD_C)
-    weight = compared.measured
-    cold = total(np.maximum(MILD_C - ambient, 0.0) * weight) / np.maximum(total(weight), 1e-9)
+    colder = np.where(known, np.maximum(MILD_C - ambient, 0.0) * np.maximum(fall, 0.0), 0.0)
+    consumption, unknown = _take_logarithm(factor), total(np.ones(len(rides))) > 0.0
+    unknown &= np.isnan(consumption)
     return CarDays(
         list(map(str, cars)),
-        list(map(str, first["vehicle_model"].first())),
+        rides["vehicle_model"].astype(str).to_numpy()[first].tolist(),
         nominal,
-        Series(dates, _take_logarithm(factor), predicted, zero),
+        Series(dates, consumption, predicted, zero),
         Series(dates, _take_logarithm(whole / nominal[:, np.newaxis]), falls**2 / np.maximum(number, 1.0), zero),
-        cold,
+        total(colder) / np.maximum(falls, 1e-9),
+        int(unknown.sum()),
+        float(measured[unknown].sum() / measured.sum()),
     )
+
+
+def _read(rides: pd.DataFrame, name: str) -> Floats:
+    """Return a column of a ride table, NaN where it is absent."""
+    return get_numbers(rides, name) if name in rides else np.full(len(rides), np.nan)
 
 
 def _take_logarithm(factor: Floats) -> Floats:
@@ -127,32 +156,30 @@ def _take_logarithm(factor: Floats) -> Floats:
     return np.log(factor, out=np.full(factor.shape, np.nan), where=possible)
 
 
-def subtract_siblings(series: Series, models: list[str], of_day: float, of_amount: float) -> tuple[Series, Series]:
-    """Return the deviation of each car from the other cars of its vehicle model, and the mean of each vehicle model.
+def subtract_siblings(
+    series: Series, models: list[str], of_day: float, of_amount: float, without: Floats | None = None
+) -> Series:
+    """Return the deviation of each car from the other cars of its vehicle model.
 
-    The deviations keep the level of the car. A value without enough siblings on its date stays as it is. The means are
-    a series with a row for each vehicle model, in the order of `sorted(set(models))`.
+    The deviations keep the level of the car. A value without enough siblings on its date stays as it is.
+
+    Parameters
+    ----------
+    of_day, of_amount : float
+        Variances of the noise, see `Series`. [1]
+    without : (n, t) float, optional
+        Values of the siblings where they are others than those of the cars: without their sudden changes. [1]
     """
-    level = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else 0.0 for row in series.value])
-    apart = series.value - level[:, np.newaxis]
-    weight = np.where(np.isfinite(apart), 1.0 / series.compute_variance(of_day, of_amount), 0.0)
-    filled = np.where(np.isfinite(apart), apart, 0.0)
+    given = series.value if without is None else without
+    level = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else 0.0 for row in given])
+    weight = np.where(np.isfinite(given), 1.0 / series.compute_variance(of_day, of_amount), 0.0)
+    apart = np.where(np.isfinite(given), given - level[:, np.newaxis], 0.0)
     value, extra = series.value.copy(), series.extra.copy()
-    names = sorted(set(models))
-    means, amounts = (np.full((len(names), len(series.dates)), fill) for fill in (np.nan, 1.0))
-    spread = np.zeros_like(means)
-    for k, name in enumerate(names):
+    for name in sorted(set(models)):
         rows = np.array([each == name for each in models])
-        sums, squares = weight[rows].sum(axis=0), (weight[rows] * filled[rows]).sum(axis=0)
-        means[k] = np.divide(squares, sums, out=means[k], where=sums > 0.0)
-        spread[k] = np.divide(1.0, sums, out=spread[k], where=sums > 0.0)
-        others = sums - weight[rows]
-        count = (weight[rows] > 0.0).sum(axis=0) - (weight[rows] > 0.0)
-        mean = np.divide(squares - weight[rows] * filled[rows], others, out=np.zeros_like(others), where=others > 0.0)
-        enough = count >= LEAST_SIBLINGS
-        value[rows] -= np.where(enough, mean, 0.0)
-        extra[rows] += np.where(enough, np.divide(1.0, others, out=np.zeros_like(others), where=others > 0.0), 0.0)
-    return (
-        Series(series.dates, value, series.amount, extra),
-        Series(series.dates, means, amounts, spread),
-    )
+        others = weight[rows].sum(axis=0) - weight[rows]
+        sums = (weight[rows] * apart[rows]).sum(axis=0) - weight[rows] * apart[rows]
+        enough = (weight[rows] > 0.0).sum(axis=0) - (weight[rows] > 0.0) >= LEAST_SIBLINGS
+        value[rows] -= np.divide(sums, others, out=np.zeros_like(others), where=enough)
+        extra[rows] += np.divide(1.0, others, out=np.zeros_like(others), where=enough)
+    return series._replace(value=value, extra=extra)

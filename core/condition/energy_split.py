@@ -19,13 +19,14 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.core.condition.car_days import forget_cars
 from socast.core.effects import Effect, get_library, group_by_topic
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import ComparedRides, select_rides
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.formatting import format_count
 from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term
-from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, VEHICLE_SCOPE
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.records import Record, declare
 from socast.core.stats.clustered import compute_clustered_ratio
@@ -323,12 +324,7 @@ def _sum_group(
 
 def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEnergyFactor]:
     """Return the factor of each car beside the median of its siblings, without what the model knows of single cars."""
-    shared = [float(not any(name.startswith(VEHICLE_SCOPE) for name in term.columns)) for term in model.terms]
-    fits = {
-        key: replace(fit, coefficients=tuple((np.array(fit.coefficients) * shared).tolist()))
-        for key, fit in model.fits.items()
-    }
-    usual = replace(model, cars={}, fits=fits).predict_energy(chosen.rides)
+    usual = forget_cars(model).predict_energy(chosen.rides)
     factors = list[tuple[str, str, int, float, EstimatedValue]]()
     names = chosen.rides[[VEHICLE_MODEL, VEHICLE]].astype(str)
     for kind, car in sorted(set(zip(names[VEHICLE_MODEL], names[VEHICLE], strict=True))):

@@ -8,7 +8,8 @@ with noise of a variance that is the same for all days, and one that falls with 
 are the same for all cars. They are estimated by the likelihood of all series together, with a weak prior. A value far
 off has a larger variance, as if noise was of Student's t: a day of a car may have been another kind of day.
 
-The filter and the smoother are those of filterpy, which is imported where they run: its import takes a second.
+A filter over all cars at once gives the likelihood. The paths are those of the filter and the smoother of filterpy,
+which is imported where they run: its import takes a second.
 
 References
 ----------
@@ -17,6 +18,7 @@ Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambri
 Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989) 881, DOI 10.2307/2290063.
 """
 
+from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -40,7 +42,7 @@ ROUNDS: Final = 2
 
 
 class Wandering(NamedTuple):
-    """Hold the variances of a quantity, or the prior of them.
+    """Hold the standard deviations of a quantity, or the prior of them.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ class Path(NamedTuple):
 
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
-    """Return the variances of a quantity, and the series in which values far off have a larger variance.
+    """Return the sizes of noise and wandering, and the series in which values far off have a larger variance.
 
     At most `MOST_CARS` cars, evenly spaced, tell the variances.
     """
@@ -95,9 +97,10 @@ def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Ser
     for _ in range(ROUNDS):
         found = _maximise(Series(out.dates, *(each[::every] for each in out[1:])), prior)
         level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
-        off = (series.value - level) ** 2 / np.maximum(variance, 1e-12)
+        plain = series.compute_variance(found.of_day**2, found.of_amount**2)
+        off = (series.value - level) ** 2 / np.maximum(variance - noise + plain, 1e-12)
         heavier = np.maximum((off + FREEDOM) / (FREEDOM + 1.0) - 1.0, 0.0)
-        extra = np.where(np.isfinite(series.value), series.extra + heavier * noise, series.extra)
+        extra = np.where(np.isfinite(series.value), series.extra + heavier * plain, series.extra)
         out = series._replace(extra=extra)
     return found, out
 
@@ -152,8 +155,11 @@ def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, F
     return expected, variances, noise
 
 
-def smooth_levels(series: Series, found: Wandering) -> Path:
-    """Return the smoothed paths of the levels of cars, by the filter and the smoother of filterpy."""
+def smooth_levels(series: Series, found: Wandering, breaks: Sequence[Collection[int]] = ()) -> Path:
+    """Return the smoothed paths of the levels of cars, by the filter and the smoother of filterpy.
+
+    `breaks` are the ordinals at which the level of each car changes suddenly, by an unknown amount.
+    """
     from filterpy.kalman import KalmanFilter  # noqa: PLC0415 - its import takes a second
 
     n, days = series.value.shape
@@ -171,8 +177,13 @@ def smooth_levels(series: Series, found: Wandering) -> Path:
         car.P = np.diag([LEVEL_SD**2, (found.rate / YEAR) ** 2])
         car.H = np.array([[1.0, 0.0]])
         values = [value if is_known else None for value, is_known in zip(series.value[i].tolist(), known, strict=True)]
-        means, covariances, _, _ = car.batch_filter(values, Fs=moves, Qs=wanders, Rs=noise[i].tolist())
-        means, covariances, _, _ = car.rts_smoother(means, covariances, Fs=moves, Qs=wanders)
+        broken = set(breaks[i]) if breaks else set()
+        changes = [
+            q + np.diag([LEVEL_SD**2, 0.0]) if day in broken else q
+            for q, day in zip(wanders, series.dates.tolist(), strict=True)
+        ]
+        means, covariances, _, _ = car.batch_filter(values, Fs=moves, Qs=changes, Rs=noise[i].tolist())
+        means, covariances, _, _ = car.rts_smoother(means, covariances, Fs=moves, Qs=changes)
         out.level[i], out.sd[i] = means[:, 0, 0], np.sqrt(np.maximum(covariances[:, 0, 0], 0.0))
         out.rate[i], out.rate_sd[i] = YEAR * means[-1, 1, 0], YEAR * np.sqrt(max(covariances[-1, 1, 1], 0.0))
     return out

@@ -74,12 +74,12 @@ def separate_steps(series: Series, prior: Wandering) -> tuple[Wandering, Series,
     return found, heavy, _list_steps(heavy, found, REPORTED)
 
 
-def subtract_steps(series: Series, steps: list[list[LevelStep]], sign: float = -1.0) -> Series:
-    """Return the series without the steps of its cars; with them again where the sign is 1."""
+def subtract_steps(series: Series, steps: list[list[LevelStep]]) -> Series:
+    """Return the series without the steps of its cars."""
     value = series.value.copy()
     for row, of_car in zip(value, steps, strict=True):
         for step in of_car:
-            row[series.dates >= step.since] += sign * step.size
+            row[series.dates >= step.since] -= step.size
     return series._replace(value=value)
 
 

@@ -39,12 +39,20 @@ class CarCondition(PartialRecord, frozen=True):
 
     vehicle_id: Annotated[str, declare("Name of the car.", "car")]
     vehicle_model: Annotated[str, declare("Key of the vehicle model.", "vehicle model")]
-    siblings: Annotated[int, declare("Number of other cars of the vehicle model.")]
+    siblings: Annotated[int, declare("Number of other cars with which it is compared; 0 beside the model alone.")]
     consumption: Annotated[Trend | None, declare("Consumption beside the siblings, or else over the model.")] = None
     capacity: Annotated[Trend | None, declare("Usable capacity over that of the catalogue, at mild temperature.")] = (
         None
     )
     nominal_kwh: Annotated[float | None, declare("Usable capacity by the catalogue. [kWh]")] = None
+
+    @property
+    def has_finding(self) -> bool:
+        """Whether the car differs from what is expected, changed suddenly, changes, or lacks capacity."""
+        consumption, capacity = self.consumption, self.capacity
+        differs = consumption is not None and (consumption.ci95_pct[0] > 0.0 or consumption.ci95_pct[1] < 0.0)
+        lacks = capacity is not None and capacity.ci95_pct[1] < 0.0
+        return differs or lacks or any(each.is_changing or each.steps for each in (consumption, capacity) if each)
 
     @property
     def usable_kwh(self) -> float | None:
@@ -60,10 +68,12 @@ class FleetCondition(Record, frozen=True):
     model: Annotated[str, declare("Name of the model that predicts the energy.")]
     rides: int
     car_days: int
+    car_days_left_out: Annotated[int, declare("Number of car-days with too little energy, or with an impossible one.")]
+    energy_left_out: Annotated[float, declare("Their share of the measured energy. [1]")]
     first_date: str
     last_date: str
     left_out: Annotated[dict[str, int], declare("Reason -> number of rides left out.")]
-    day_sd_pct: Annotated[float, declare("Standard deviation of the consumption of a car from day to day. [%]")]
+    day_sd_pct: Annotated[float, declare("Standard deviation of the consumption from its level, usual day. [%]")]
     cold_loss_pct: Annotated[float | None, declare("Capacity that a kelvin below 10 °C takes off. [%/K]")]
     cars: list[CarCondition] = []
 

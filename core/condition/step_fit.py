@@ -63,9 +63,7 @@ def subtract_untreated(series: Series, models: list[str], treated: NDArray[np.bo
     groups += [(np.array([row]), np.sort(np.append(np.flatnonzero(~treated), row))) for row in np.flatnonzero(treated)]
     for wanted, rows in groups:
         of_rows = Series(series.dates, *(each[rows] for each in series[1:]))
-        apart, _ = subtract_siblings(
-            of_rows, [models[i] for i in rows], CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2
-        )
+        apart = subtract_siblings(of_rows, [models[i] for i in rows], CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2)
         at = np.searchsorted(rows, wanted)
         value[wanted], extra[wanted] = apart.value[at], apart.extra[at]
     shared = extra - series.extra

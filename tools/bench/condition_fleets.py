@@ -9,14 +9,14 @@ Example: python -m socast.tools.bench.condition_fleets
 import argparse
 from collections.abc import Callable, Sequence
 from datetime import date
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
+from scipy.stats import binomtest
 
-from socast.core.batch import Floats
-from socast.core.condition.car_days import Series, subtract_siblings
-from socast.core.condition.level_model import CAPACITY, CONSUMPTION, Path, Wandering, smooth_levels
-from socast.core.condition.level_steps import LevelStep, separate_steps, subtract_steps
+from socast.core.condition.car_condition import CLEAR_SDS, Followed, follow, follow_beside_siblings
+from socast.core.condition.car_days import Series
+from socast.core.condition.level_model import CAPACITY
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.bench.figures.published import publish, write_table
 
@@ -26,16 +26,24 @@ CARS: Final = 8
 FLEETS: Final = 40
 """Number of fleets of each kind."""
 SEED: Final = 500
-STEP: Final = 0.06
+STEPS: Final = (CARS, 60, 0.06), (CARS, 120, 0.06), (5, 120, 0.1), (3, 120, 0.15)
+"""Cars, days and planted step of the fleets."""
 RATE: Final = 0.04
 FADE: Final = 0.05
-"""Planted step, and rates of the consumption and of the capacity a year. [1]"""
+"""Planted rates of the consumption and of the capacity a year. [1]"""
 NEAR: Final = 4
 """Days with driving within which a step is dated well."""
 
 
 def make_fleet(
-    seed: int, cars: int = CARS, days: int = 120, *, step: float = 0.0, at: int = 60, rate: float = 0.0
+    seed: int,
+    cars: int = CARS,
+    days: int = 120,
+    *,
+    step: float = 0.0,
+    at: int = 60,
+    rate: float = 0.0,
+    is_noisy: bool = True,
 ) -> Series:
     """Return the logarithms of the consumption factors of cars; a step or rate [1/year] is of the first one.
 
@@ -49,11 +57,11 @@ def make_fleet(
     noise = 0.03 / np.sqrt(2.0) * rng.standard_t(4, size=(cars, days))
     noise += 0.15 * rng.normal(size=(cars, days)) / np.sqrt(amount)
     drivers = 0.01 * rng.choice([-1.0, 1.0], size=(cars, days))
-    value = 0.05 * rng.normal(size=(cars, 1)) + of_date + noise + drivers
+    value = 0.05 * rng.normal(size=(cars, 1)) + is_noisy * (of_date + noise + drivers)
     value += 0.01 / np.sqrt(365.0) * rng.normal(size=(cars, days)).cumsum(axis=1)
     value[0, at:] += step
     value[0] += rate * time / 365.25
-    value[rng.uniform(size=(cars, days)) < 1.0 / 7.0] = np.nan
+    value[is_noisy & (rng.uniform(size=(cars, days)) < 1.0 / 7.0)] = np.nan
     return Series(FIRST + time, value, amount, np.zeros((cars, days)))
 
 
@@ -68,91 +76,81 @@ def make_batteries(seed: int, days: int = 300, *, fade: float = 0.0) -> Series:
     return Series(FIRST + time, value, fall**2, np.zeros((CARS, days)))
 
 
-class Judged(NamedTuple):
-    """Hold what was found of a fleet."""
-
-    series: Series
-    path: Path
-    steps: list[list[LevelStep]]
-
-
-def judge(series: Series, prior: Wandering, *, has_siblings: bool) -> Judged:
-    """Return what is found of a fleet, as `assess_condition` finds it."""
-    if has_siblings:
-        series, _ = subtract_siblings(series, ["m"] * len(series.value), prior.of_day**2, prior.of_amount**2)
-    found, heavy, steps = separate_steps(series, prior)
-    return Judged(series, smooth_levels(subtract_steps(heavy, steps), found), steps)
-
-
-def judge_steps(days: int) -> list[list[str]]:
-    """Return how steps of one car in each fleet are found."""
-    rng, found, near, held, sized, false = np.random.default_rng(SEED), [], [], [], [], 0
+def judge_steps(cars: int, days: int, size: float) -> list[list[str]]:
+    """Return how steps of one car in each fleet are found, and what they do to the others."""
+    rng, found, near, held, sized, now, false = np.random.default_rng(SEED), [], [], [], [], [], list[bool]()
     for number in range(FLEETS):
         at, sign = int(rng.integers(days // 5, 4 * days // 5)), float(rng.choice([-1.0, 1.0]))
-        fleet = judge(make_fleet(SEED + number, days=days, step=sign * STEP, at=at), CONSUMPTION, has_siblings=True)
+        series = make_fleet(SEED + number, cars, days, step=sign * size, at=at)
+        fleet = follow_beside_siblings(series, ["m"] * cars)
         driven = fleet.series.dates[np.isfinite(fleet.series.value[0])]
-        first = int(driven[driven >= FIRST + at][0])
-        place = {int(day): i for i, day in enumerate(driven)}
-        right = [each for each in fleet.steps[0] if abs(each.since - first) <= days // 4][:1]
+        place = int(np.searchsorted(driven, FIRST + at))
+        first = int(driven[place])
+        off = [abs(int(np.searchsorted(driven, each.since)) - place) for each in fleet.steps[0]]
+        right = [fleet.steps[0][int(np.argmin(off))]] if off and min(off) <= days // 8 else []
         found.append(bool(right))
-        near += [abs(place[each.since] - place[first]) <= NEAR for each in right]
+        near += [min(off) <= NEAR for _ in right]
         held += [each.low <= first <= each.high for each in right]
-        sized += [abs(each.size - sign * STEP) <= NORMAL_95 * each.sd for each in right]
-        false += sum(map(bool, fleet.steps[1:]))
-    what = f"step of {100 * STEP:.0f} % in one of {CARS} cars, {days} days"
+        sized += [abs(each.size - sign * size) <= NORMAL_95 * each.sd for each in right]
+        false += [bool(each) for each in fleet.steps[1:]]
+        level = make_fleet(SEED + number, cars, days, step=sign * size, at=at, is_noisy=False)
+        truth = level.value[0, -1] - level.value[1:, -1].mean()
+        beside = fleet.path.level[0, -1] - fleet.path.level[1:, -1].mean()
+        sd = np.hypot(fleet.path.sd[0, -1], np.sqrt((fleet.path.sd[1:, -1] ** 2).sum()) / (cars - 1))
+        now.append(abs(beside - truth) <= NORMAL_95 * sd)
+    what = f"step of {100 * size:.0f} % in one of {cars} cars, {days} days"
     return [
         [f"{what}: found", "80 %", _share(found)],
         [f"{what}: dated within {NEAR} days with driving", "75 %", _share(near)],
-        [f"{what}: interval holds the date", "88 to 95 %", _share(held)],
+        [f"{what}: 90 % interval holds the date", "88 to 95 %", _share(held)],
         [f"{what}: 95 % interval holds the size", "93 to 97 %", _share(sized)],
-        [f"{what}: other cars with a step", "0.6 %", f"{100.0 * false / FLEETS / (CARS - 1):.1f} %"],
+        [f"{what}: 95 % interval holds the last level beside the others", "93 to 97 %", _share(now)],
+        [f"{what}: other cars with a step", "0.6 %", _share(false)],
     ]
 
 
-def judge_rates(
-    what: str, make: Callable[[int], Series], prior: Wandering, truth: float, of_others: float, *, has_siblings: bool
-) -> list[list[str]]:
+def judge_rates(what: str, follow_fleet: Callable[[int], Followed], truth: float, of_others: float) -> list[list[str]]:
     """Return how the rate of one car in each fleet is found, and how often others seem to change."""
-    held, others, told = list[bool](), list[bool](), 0
+    held, others, told = list[bool](), list[bool](), list[bool]()
     for number in range(FLEETS):
-        path = judge(make(SEED + number), prior, has_siblings=has_siblings).path
-        off = np.abs(path.rate - np.r_[truth, np.full(CARS - 1, of_others)])
-        inside = off <= NORMAL_95 * path.rate_sd
-        held.append(bool(inside[0]))
-        others += inside[1:].tolist()
-        told += int((np.abs(path.rate[1:] - of_others) > 3.0 * path.rate_sd[1:]).sum())
+        path = follow_fleet(SEED + number).path
+        off = np.abs(path.rate - np.r_[truth, np.full(len(path.rate) - 1, of_others)])
+        held.append(bool(off[0] <= NORMAL_95 * path.rate_sd[0]))
+        others += (off[1:] <= NORMAL_95 * path.rate_sd[1:]).tolist()
+        told += (off[1:] > CLEAR_SDS * path.rate_sd[1:]).tolist()
     return [
         [f"{what}: 95 % interval holds the rate", "93 to 97 %", _share(held)],
         [f"{what}: 95 % interval holds the rates of the others", "93 to 97 %", _share(others)],
-        [f"{what}: others beyond three standard deviations", "0.6 %", f"{100.0 * told / len(others):.1f} %"],
+        [f"{what}: others further than {CLEAR_SDS:.0f} standard deviations from the truth", "0.6 %", _share(told)],
     ]
 
 
-def _share(values: Sequence[bool] | Floats) -> str:
-    """Return a share and its number of cases."""
-    return f"{100.0 * np.mean(values):.0f} % (n {len(values)})" if len(values) else "none"
+def _share(values: Sequence[bool]) -> str:
+    """Return a share with its 95 % interval and its number of cases."""
+    if not values:
+        return "none"
+    low, high = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
+    return f"{100.0 * np.mean(values):.1f} % ({100.0 * low:.0f} to {100.0 * high:.0f}; n {len(values)})"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Judge and publish."""
     argparse.ArgumentParser("condition_fleets", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
-    rows = [*judge_steps(60), *judge_steps(120)]
+    rows = [row for kind in STEPS for row in judge_steps(*kind)]
+    models = ["m"] * CARS
     what = f"{100 * RATE:.0f} % more each year in one of {CARS} cars, 300 days"
     of_others = -RATE / (CARS - 1)  # beside siblings, one of which changes
     rows += judge_rates(
-        what, lambda seed: make_fleet(seed, days=300, rate=RATE), CONSUMPTION, RATE, of_others, has_siblings=True
+        what, lambda seed: follow_beside_siblings(make_fleet(seed, days=300, rate=RATE), models), RATE, of_others
     )
     what = f"battery that fades by {100 * FADE:.0f} % a year beside {CARS - 1} that fade by 2 %, 300 days"
-    rows += judge_rates(what, lambda seed: make_batteries(seed, fade=FADE), CAPACITY, -FADE, -0.02, has_siblings=False)
+    rows += judge_rates(what, lambda seed: follow(make_batteries(seed, fade=FADE), CAPACITY), -FADE, -0.02)
     about = (
-        f"{FLEETS} made-up fleets of {CARS} cars for each line, seeds from {SEED} on, whose laws are not those of the "
-        "model: noise with heavy tails, alternating drivers, weather that dates share, a season."
+        f"{FLEETS} made-up fleets for each line, seeds from {SEED} on, whose laws are not those of the model: noise with "
+        "heavy tails, alternating drivers, weather that dates share, a season. In parentheses: 95 % interval (Wilson)."
     )
-    publish(
-        "condition",
-        "python -m socast.tools.bench.condition_fleets",
-        [about, "", *write_table(["what", "goal", "measured"], rows)],
-    )
+    command = "python -m socast.tools.bench.condition_fleets"
+    publish("condition", command, [about, "", *write_table(["what", "goal", "measured"], rows)])
 
 
 if __name__ == "__main__":

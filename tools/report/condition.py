@@ -11,6 +11,7 @@ from rich.text import Text
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
+from socast.core.stats.scores import NORMAL_95
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section
@@ -19,17 +20,23 @@ from socast.tools.report.figure_style import REFERENCE_LINE, get_style, make_fig
 from socast.tools.report.page import escape_text, render_document, save
 
 TITLE: Final = "Condition of the cars"
-MOST_DESCRIBED: Final = 5
-"""Number of cars that are described in words, and beside which nothing is found."""
+MOST_DESCRIBED: Final = 8
+"""Largest number of cars whose findings are told in words."""
 MOST_DRAWN: Final = 24
 """Number of cars that have a figure."""
 NOTE: Final = (
     "Consumption: measured energy over that of the model, beside the mean of the other cars of the vehicle model on "
     "the same dates, as of the last date; a car without two siblings is compared with the model alone, and the weather "
-    "that the model lacks then counts as the car's. Rate: change beside sudden ones; a dash where the dates are too "
-    "few. In parentheses: 95 % intervals."
+    "that the model lacks then counts as the car's. Rate: change without sudden ones; a dash where the dates are too "
+    "few. Usable: capacity at mild temperature, beside that of the catalogue. In parentheses: 95 % intervals."
 )
-STEP_NOTE: Final = "A sudden change is shown if its probability is at least 80 %; its date lies between the given ones."
+STEP_NOTE: Final = (
+    "Changed: the first date after a sudden change whose probability is at least 80 %. Cars with a finding come first, "
+    "and of these the one that takes most."
+)
+LEAST_COLD_LOSS: Final = 0.02
+"""Least loss of capacity in the cold that is told. [%/K]"""
+BAND_NOTE: Final = "Band: 95 % interval of the level."
 
 
 def show(result: FleetCondition, console: Console) -> None:
@@ -42,9 +49,11 @@ def show(result: FleetCondition, console: Console) -> None:
 def write(result: FleetCondition, path: Path) -> None:
     """Write the condition as a self-contained page."""
     lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe_fleet(result))
+    drawn, cars = min(MOST_DRAWN, len(result.cars)), len(result.cars)
+    title = "Each car" if drawn == cars else f"The first {drawn} of {cars} cars"
     sections = [
-        Section("each", "Each car", "", []),
         Section("cars", "All cars", _describe_data(result), [tabulate_cars(result)]),
+        Section("each", title, BAND_NOTE, []),
     ]
     foot = "<p>Made by <code>socast condition</code>.</p>"
 
@@ -55,31 +64,38 @@ def write(result: FleetCondition, path: Path) -> None:
 
 
 def _describe_data(result: FleetCondition) -> str:
-    """Return what the condition is of, in a sentence."""
-    left = ", ".join(f"{format_count(n)} {why}" for why, n in result.left_out.items())
-    cold = "" if result.cold_loss_pct is None else f" A kelvin below 10 °C takes {result.cold_loss_pct:.2f} % off."
+    """Return what the condition is of, in a few sentences."""
+    rides = ", ".join(f"{format_count(n)} {why}" for why, n in result.left_out.items())
+    days = format_count(result.car_days_left_out)
+    left = f" Left out: {days} car-days with too little energy, {100.0 * result.energy_left_out:.1f} % of the energy."
+    cold = ""
+    if result.cold_loss_pct is not None and result.cold_loss_pct >= LEAST_COLD_LOSS:
+        cold = f" Each kelvin below 10 °C lowers the usable capacity by {result.cold_loss_pct:.2f} %."
     return (
         f"{format_count(result.rides)} rides on {format_count(result.car_days)} car-days from {result.first_date} to "
-        f"{result.last_date}{f' ({left} left out)' if left else ''}; model {result.model}. The consumption of a car "
-        f"varies by {result.day_sd_pct:.1f} % from day to day.{cold}"
+        f"{result.last_date}{f' ({rides} left out)' if rides else ''}; model {result.model}."
+        f"{left if result.car_days_left_out else ''} On a usual day, the consumption of a car differs from its level "
+        f"by {result.day_sd_pct:.1f} % (standard deviation).{cold}"
     )
 
 
 def describe_fleet(result: FleetCondition) -> list[str]:
-    """Return the worst cars in words, and how many others there are."""
-    lines = [line for car in result.cars[:MOST_DESCRIBED] if (line := describe_car(car))]
-    rest = sum(not describe_car(car) for car in result.cars)
+    """Return the cars with findings in words, and how many others there are."""
+    found = [car for car in result.cars if car.has_finding]
+    unknown = [car.vehicle_id for car in result.cars if car.consumption is None]
+    rest = len(result.cars) - len(found) - sum(car.consumption is None and not car.has_finding for car in result.cars)
+    lines = [describe_car(car) for car in found[:MOST_DESCRIBED]]
+    if more := len(found) - MOST_DESCRIBED:
+        lines += [f"{more} more {'car differs' if more == 1 else 'cars differ'}: see the table."] if more > 0 else []
     if rest:
-        what = "car takes" if rest == 1 else "cars take"
-        lines.append(f"{rest} other {what} about what is expected." if lines else _describe_nothing(rest))
+        which = "other " if found else ""
+        lines.append(
+            f"{rest} {which}{'car takes' if rest == 1 else 'cars take'} what is expected, within the interval."
+        )
+    if unknown:
+        more = " and others" if len(unknown) > MOST_DESCRIBED else ""
+        lines.append(f"Too few dates tell of {', '.join(unknown[:MOST_DESCRIBED])}{more}.")
     return lines
-
-
-def _describe_nothing(cars: int) -> str:
-    """Return that all cars are doing as expected."""
-    if cars == 1:
-        return "The car takes what is expected, within the interval."
-    return f"All {cars} cars take what is expected, within their intervals."
 
 
 def describe_car(car: CarCondition) -> str:
@@ -87,11 +103,13 @@ def describe_car(car: CarCondition) -> str:
     parts = []
     if (trend := car.consumption) is not None:
         if trend.ci95_pct[0] > 0.0 or trend.ci95_pct[1] < 0.0:
-            beside = "its siblings" if car.siblings > 1 else "the model predicts"
+            beside = "its siblings" if car.siblings else "the model predicts"
             parts.append(f"takes {_word_change(trend.level_pct, trend.ci95_pct)} than {beside}")
         parts += [f"takes {_word_step(step)}" for step in trend.steps]
         parts += [f"takes {rate} each year" for rate in _word_rate(trend)]
-    if (trend := car.capacity) is not None and car.usable_kwh is not None:
+    if (trend := car.capacity) is not None:
+        if trend.ci95_pct[1] < 0.0:
+            parts.append(f"its battery holds {_word_change(trend.level_pct, trend.ci95_pct)} than in the catalogue")
         parts += [f"its battery holds {_word_step(step)}" for step in trend.steps]
         parts += [f"its battery holds {rate} each year" for rate in _word_rate(trend)]
     return f"{car.vehicle_id}: {'; '.join(parts)}." if parts else ""
@@ -106,8 +124,11 @@ def _word_rate(trend: Trend) -> list[str]:
 
 def _word_change(percent: float, interval: ConfidenceInterval) -> str:
     """Return a change in words, such as `6.1 % more (4.0 to 8.2)`."""
+    word = "more" if percent > 0.0 else "less"
+    if interval[0] <= 0.0 <= interval[1]:
+        return format_minus(f"{abs(percent):.1f} % {word} ({interval[0]:+.1f} to {interval[1]:+.1f})")
     low, high = sorted(abs(each) for each in interval)
-    return f"{abs(percent):.1f} % {'more' if percent > 0.0 else 'less'} ({low:.1f} to {high:.1f})"
+    return f"{abs(percent):.1f} % {word} ({low:.1f} to {high:.1f})"
 
 
 def _word_step(step: ConditionStep) -> str:
@@ -125,7 +146,7 @@ def _word_date(iso: str) -> str:
 
 def tabulate_cars(result: FleetCondition) -> ReportTable:
     """Return a row for each car."""
-    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "of kWh", "rate, %/year")
+    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "catalogue", "battery, %/year")
     rows = tuple(
         Row(
             car.vehicle_id,
@@ -136,7 +157,7 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
                     _format_level(car.consumption),
                     _format_rate(car.consumption),
                     _list_changes(car),
-                    UNKNOWN if car.usable_kwh is None else f"{car.usable_kwh:.1f}",
+                    _format_usable(car),
                     UNKNOWN if car.nominal_kwh is None else f"{car.nominal_kwh:.1f}",
                     _format_rate(car.capacity),
                 )
@@ -145,6 +166,14 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
         for car in result.cars
     )
     return ReportTable("Cars, the worst first", "car", heads, rows, (NOTE, STEP_NOTE))
+
+
+def _format_usable(car: CarCondition) -> str:
+    """Return the usable capacity with its interval. [kWh]"""
+    if car.capacity is None or car.nominal_kwh is None:
+        return UNKNOWN
+    low, high = (car.nominal_kwh * (1.0 + each / 100.0) for each in car.capacity.ci95_pct)
+    return f"{car.usable_kwh:.1f} ({low:.1f} to {high:.1f})"
 
 
 def _format_level(trend: Trend | None) -> str:
@@ -171,12 +200,12 @@ def _list_changes(car: CarCondition) -> str:
     changes += [
         f"{each.since} battery {each.change_pct:+.1f} %" for each in (car.capacity.steps if car.capacity else [])
     ]
-    return format_minus(", ".join(changes))
+    return format_minus(", ".join(changes)) or UNKNOWN
 
 
 def _illustrate(place: int, car: CarCondition) -> Illustration:
     """Return the figure of a car."""
-    caption = describe_car(car) or f"{car.vehicle_id}: nothing is found."
+    caption = describe_car(car) or f"{car.vehicle_id}: as expected, within the interval."
     return Illustration(f"car-{place}", car.vehicle_id, caption, draw_car(car), small=True)
 
 
@@ -188,7 +217,7 @@ def draw_car(car: CarCondition) -> go.Figure:
             continue
         look = get_style(2 + 2 * place)
         middle = [each or 0.0 for each in trend.path_pct]
-        spread = [2.0 * (each or 0.0) for each in trend.path_sd_pct]
+        spread = [NORMAL_95 * (each or 0.0) for each in trend.path_sd_pct]
         band = [m + s for m, s in zip(middle, spread, strict=True)]
         band += [m - s for m, s in zip(reversed(middle), reversed(spread), strict=True)]
         traces += [

@@ -22,8 +22,10 @@ from socast.core.batch import Floats, replace_nan
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from socast.core.vehicles import ACCESSORIES, VehicleModel
 
-FASTEST, SLOWEST = 0.4, 15.0
-"""Limits of the pace of driving: what is faster counts as this, and time beyond the slowest is waiting. [min/km]"""
+FASTEST: Final = 0.4
+"""Least pace of driving; a smaller one counts as this. [min/km]"""
+SLOWEST: Final = 15.0
+"""Largest pace of driving; time beyond it is waiting. [min/km]"""
 FLOWING_SPEED: Final = 100.0
 """Mean speed from which on there are no stops; below, their number per kilometre grows by the difference. [km/h]"""
 TEMPERATURES: Final = np.array([-25.0, -15.0, -7.0, 0.0, 7.0, 14.0, 21.0, 28.0, 35.0])
@@ -44,7 +46,7 @@ KM: Final = 0
 STOPS: Final = KM + 1
 """Place of the kilometres times the share of stops that their speed lets expect. [km]"""
 FAST: Final = KM + 2
-"""Place of the kilometres times the mean square of the speed. [km]"""
+"""Place of the kilometres times the mean square of the speed over that at `REFERENCE_SPEED`. [km]"""
 DRIVING: Final = KM + 3
 """Place of the hours of driving. [h]"""
 WAITING: Final = KM + 4
@@ -67,19 +69,17 @@ Estimated, as the other figures of this module: the standard deviations below co
 CONSUMPTION_PER_MASS: Final = 1.2e-4
 """Official consumption over kerb mass of the cars in the catalogue, for cars without a rating. [kWh/(km kg)]"""
 LEAST_LEVEL: Final = 0.3
-"""Least share of the official driving consumption that is not air drag. [1]"""
+"""Least share of the official driving consumption that is neither air drag nor stops. [1]"""
 EFFICIENCY: Final = 0.85
 """Efficiency from the battery to the wheels. [1]"""
 STOP_ENERGY: Final = 4.2e-5
-"""Energy of a kilometre with the most stops over the mass, with what braking returns: 150 kJ/t. [kWh/(km kg)]"""
+"""Energy of a kilometre with the most stops over the mass, with what braking returns. [kWh/(km kg)]"""
 RECOVERED_CLIMB: Final = 0.6
 """Share of the energy of a climb that returns on the way down. [1]"""
 COLD_BELOW: Final = 20.0
 """Temperature below which air is denser and tyres are stiffer. [°C]"""
 COLD_PER_KELVIN: Final = 0.006
 """Growth of the energy per kilometre for each kelvin below that. [1/K]"""
-ENERGY_SD: Final = 0.15
-"""Standard deviation of an energy that these terms predict as 1 kWh, before any data; it grows with the root. [kWh]"""
 
 
 class CoefficientPrior(NamedTuple):

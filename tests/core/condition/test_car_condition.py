@@ -6,10 +6,11 @@ import pytest
 
 from socast.core import models
 from socast.core.condition import car_condition
-from socast.core.condition.car_condition import assess_condition
+from socast.core.condition.car_condition import assess_condition, follow_beside_siblings
 from socast.core.condition.car_days import CarDays
 from socast.core.errors import ModelError
 from socast.tools.bench.condition_fleets import make_fleet
+from socast.tools.report.condition import describe_fleet
 
 MODEL = models.BASIC_PHYSICAL
 NAMES = [f"car-{number}" for number in range(8)]
@@ -58,6 +59,49 @@ def test_ageing_battery_is_told_from_the_cold(monkeypatch):
     assert not other.capacity.is_changing
     assert other.usable_kwh == pytest.approx(27.0, abs=0.3)
     assert other.capacity.rate_ci95_pct[0] < 0.0 < other.capacity.rate_ci95_pct[1]
+
+
+@pytest.mark.parametrize("cars", [3, 4, 5])
+def test_step_of_one_car_is_no_step_of_its_siblings(monkeypatch, cars):
+    false = []
+    for seed in range(6):
+        found = assess(monkeypatch, make_fleet(seed, cars=cars, step=0.15, at=60))
+        by_name = {car.vehicle_id: car.consumption.steps for car in found.cars}
+        assert by_name.pop("car-0"), seed
+        false += [bool(steps) for steps in by_name.values()]
+    assert np.mean(false) < 0.15
+
+
+def test_level_after_a_step_is_as_uncertain_as_its_days():
+    held = []
+    for seed in range(40):
+        fleet = make_fleet(seed, step=0.1, at=100)
+        truth = make_fleet(seed, step=0.1, at=100, is_noisy=False).value
+        followed = follow_beside_siblings(fleet, ["m"] * 8)
+        if followed.steps[0]:
+            off = followed.path.level[0, -1] - followed.path.level[1:, -1].mean() - truth[0, -1] + truth[1:, -1].mean()
+            held.append(abs(off) < 1.96 * followed.path.sd[0, -1])
+    assert len(held) > 25
+    assert np.mean(held) >= 0.85
+
+
+def test_two_cars_are_compared_with_the_model(monkeypatch):
+    found = assess(monkeypatch, make_fleet(3, cars=2))
+    assert [car.siblings for car in found.cars] == [0, 0]
+    lines = describe_fleet(found)
+    assert not any("siblings" in line for line in lines)
+
+
+def test_bad_battery_and_unknown_car_are_told(monkeypatch):
+    fleet = make_fleet(10)
+    fleet.value[1, 5:] = np.nan
+    value = np.full((8, 120), np.log(0.99)) + 0.01 * np.random.default_rng(0).normal(size=(8, 120))
+    value[3] += np.log(0.8)
+    capacity = fleet._replace(value=value, amount=np.full((8, 120), 3600.0))
+    found = assess(monkeypatch, fleet, capacity)
+    lines = describe_fleet(found)
+    assert any("car-3" in line and "its battery holds 20" in line and "less" in line for line in lines)
+    assert "Too few dates tell of car-1." in lines
 
 
 def test_few_days_tell_no_rate(monkeypatch):

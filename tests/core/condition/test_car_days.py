@@ -45,6 +45,22 @@ def test_unmeasured_and_impossible_days_are_unknown():
     assert np.isnan(days.capacity.value).all()
 
 
+def test_absent_columns_are_unknown():
+    days = gather_car_days(
+        compared(rides().drop(columns=["energy_vi_kwh", "nominal_capacity_kwh", "soc_end_pct"])), "m"
+    )
+    assert np.isfinite(days.consumption.value).all()
+    assert np.isnan(days.capacity.value).all()
+
+
+def test_car_days_without_energy_are_counted():
+    frame = rides()
+    table = compared(frame)
+    table.predicted["m"][:4] = 0.01  # of both cars on the first date
+    days = gather_car_days(table, "m")
+    assert (days.left_out, days.energy_left_out) == (2, pytest.approx(1.0 / 8.0))
+
+
 def test_few_dates_are_refused_with_the_number_and_the_limit():
     with pytest.raises(ModelError, match="of 5 dates, and a condition takes 6: give more days"):
         gather_car_days(compared(rides(days=5)), "m")
@@ -52,18 +68,25 @@ def test_few_dates_are_refused_with_the_number_and_the_limit():
 
 def test_what_all_cars_share_is_taken_off_and_levels_stay():
     fleet = make_fleet(1)
-    apart, means = subtract_siblings(fleet, ["m"] * 8, 0.04**2, 0.15**2)
+    apart = subtract_siblings(fleet, ["m"] * 8, 0.04**2, 0.15**2)
     shared = fleet._replace(value=fleet.value + np.linspace(-0.2, 0.2, 120))
-    again, of_all = subtract_siblings(shared, ["m"] * 8, 0.04**2, 0.15**2)
+    again = subtract_siblings(shared, ["m"] * 8, 0.04**2, 0.15**2)
     enough = np.isfinite(fleet.value).sum(axis=0) >= 3
     moved = (again.value - apart.value)[:, enough]
     assert np.nanmax(np.abs(moved - np.nanmean(moved))) < 0.02  # the level of each car is its median
-    assert np.nanstd(means.value) > 0.02
-    assert np.ptp((of_all.value - means.value)[0, enough]) == pytest.approx(0.4, abs=0.05)
+
+
+def test_siblings_count_without_their_steps():
+    fleet = make_fleet(1, cars=3, step=0.3)
+    plain = make_fleet(1, cars=3)
+    sizes = 0.04**2, 0.15**2
+    apart = subtract_siblings(fleet, ["m"] * 3, *sizes, plain.value)
+    assert apart.value[1:] == pytest.approx(subtract_siblings(plain, ["m"] * 3, *sizes).value[1:], nan_ok=True)
+    assert np.nanmean((apart.value - plain.value)[0, 60:]) > 0.2
 
 
 def test_car_without_siblings_is_as_it_is():
     fleet = make_fleet(2, cars=2)
-    apart, _ = subtract_siblings(fleet, ["m", "n"], 0.04**2, 0.15**2)
+    apart = subtract_siblings(fleet, ["m", "n"], 0.04**2, 0.15**2)
     assert apart.value == pytest.approx(fleet.value, nan_ok=True)
     assert (apart.extra == 0.0).all()

@@ -38,7 +38,7 @@ export function mount(root, first, context) {
     const host = el("div", { class: "facets" });
     const add = (from) => cars.slice(from, shown).forEach((car) => {
       const place = el("div", {});
-      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || "Nothing is found.")));
+      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || "As expected, within the interval.")));
       plots.push(chart(place, describeTrend(car)));
     });
     const more = cars.length > shown && el("button", { type: "button", onclick: () => {
@@ -64,7 +64,7 @@ export function mount(root, first, context) {
 
 function about({ rides, car_days: days, first_date: first, last_date: last, day_sd_pct: sd }) {
   return el("p", { class: "note small" }, `${count(rides, "ride")} on ${count(days, "car-day")} from ${first} to ${last}. `
-    + `The consumption of a car varies by ${quantity(sd, "%", 1)} from day to day.`);
+    + `On a usual day, the consumption of a car differs from its level by ${quantity(sd, "%", 1)} (standard deviation). Bands: 95 % intervals of the level.`);
 }
 
 function describeTrend(car) {
@@ -72,7 +72,7 @@ function describeTrend(car) {
   const layers = [{ type: "rule", y: 0 }];
   for (const [trend, colour, name] of parts) {
     const x = trend.dates.map(toDay);
-    const half = trend.path_sd_pct.map((sd) => 2 * sd);
+    const half = trend.path_sd_pct.map((sd) => 1.96 * sd);
     layers.push(
       { type: "area", x, low: trend.path_pct.map((y, i) => y - half[i]), high: trend.path_pct.map((y, i) => y + half[i]), colour },
       { type: "points", x, y: trend.measured_pct, colour, alpha: 0.45, name: `${name}, day` },
@@ -81,7 +81,7 @@ function describeTrend(car) {
   }
   return {
     title: `Condition of ${car.vehicle_id}`,
-    summary: car.words || "Nothing is found.",
+    summary: car.words || "As expected, within the interval.",
     height: 230,
     x: { label: "Date", unit: "UTC", marks: markDates(parts.flatMap(([trend]) => trend.dates)) },
     y: { label: "Beside expected", unit: "%" },
