@@ -141,7 +141,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
         Series(dates, _take_logarithm(whole / nominal[:, np.newaxis]), falls**2 / np.maximum(number, 1.0), zero),
         total(colder) / np.maximum(falls, 1e-9),
         int(unknown.sum()),
-        float(measured[unknown].sum() / measured.sum()),
+        float(np.abs(measured[unknown]).sum() / np.abs(measured).sum()),
     )
 
 

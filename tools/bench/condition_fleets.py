@@ -146,8 +146,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     what = f"battery that fades by {100 * FADE:.0f} % a year beside {CARS - 1} that fade by 2 %, 300 days"
     rows += judge_rates(what, lambda seed: follow(make_batteries(seed, fade=FADE), CAPACITY), -FADE, -0.02)
     about = (
-        f"{FLEETS} made-up fleets for each line, seeds from {SEED} on, whose laws are not those of the model: noise with "
-        "heavy tails, alternating drivers, weather that dates share, a season. In parentheses: 95 % interval (Wilson)."
+        f"{FLEETS} made-up fleets for each line, seeds from {SEED} on, whose laws are not those of the model: noise "
+        "with heavy tails, alternating drivers, weather that dates share, a season. In parentheses: 95 % interval "
+        "(Wilson)."
     )
     command = "python -m socast.tools.bench.condition_fleets"
     publish("condition", command, [about, "", *write_table(["what", "goal", "measured"], rows)])

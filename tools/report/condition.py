@@ -93,8 +93,8 @@ def describe_fleet(result: FleetCondition) -> list[str]:
             f"{rest} {which}{'car takes' if rest == 1 else 'cars take'} what is expected, within the interval."
         )
     if unknown:
-        more = " and others" if len(unknown) > MOST_DESCRIBED else ""
-        lines.append(f"Too few dates tell of {', '.join(unknown[:MOST_DESCRIBED])}{more}.")
+        others = " and others" if len(unknown) > MOST_DESCRIBED else ""
+        lines.append(f"Too few dates tell of {', '.join(unknown[:MOST_DESCRIBED])}{others}.")
     return lines
 
 
