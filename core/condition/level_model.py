@@ -19,9 +19,11 @@ Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989)
 """
 
 from collections.abc import Collection, Sequence
-from typing import Final, NamedTuple
+from math import isnan
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.optimize import minimize
 
 from socast.core.batch import Floats
@@ -132,27 +134,37 @@ def _compute_likelihood(series: Series, found: Wandering) -> float:
 def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, Floats]:
     """Return the level that the days before predict for each value, the variance of their difference, and the noise."""
     noise = series.compute_variance(found.of_day**2, found.of_amount**2)
-    n, days = series.value.shape
-    first = np.isfinite(series.value).argmax(axis=1)
-    begin = np.take_along_axis(series.value, first[:, np.newaxis], 1)[:, 0]  # the level before is that of no data
-    level, rate = np.nan_to_num(begin), np.zeros(n)
-    p_ll, p_lr, p_rr = np.full(n, LEVEL_SD**2), np.zeros(n), np.full(n, (found.rate / YEAR) ** 2)
-    expected, variances = np.full((n, days), np.nan), np.full((n, days), np.nan)
-    for t in range(days):
-        dt = float(series.dates[t] - series.dates[t - 1]) if t else 0.0
-        level = level + rate * dt
-        p_ll = p_ll + 2.0 * dt * p_lr + dt**2 * p_rr + found.wander**2 / YEAR * dt
-        p_lr = p_lr + dt * p_rr
-        variance = p_ll + noise[:, t]
-        known = np.isfinite(series.value[:, t])
-        expected[:, t], variances[:, t] = level, variance
-        off = np.where(known, series.value[:, t] - level, 0.0)
-        gain, gain_rate = (np.where(known, p / variance, 0.0) for p in (p_ll, p_lr))
-        level, rate = level + gain * off, rate + gain_rate * off
-        p_rr = p_rr - gain_rate * p_lr
-        p_lr = p_lr - gain * p_lr
-        p_ll = p_ll - gain * p_ll
-    return expected, variances, noise
+    out = np.empty((2, *series.value.shape))
+    gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
+    _filter_levels(series.value, noise, gaps, found.wander**2 / YEAR, (found.rate / YEAR) ** 2, out)
+    return out[0], out[1], noise
+
+
+@njit(cache=True)
+def _filter_levels(value: Any, noise: Any, gaps: Any, wander: float, rate_variance: float, out: Any) -> None:
+    """Write the predicted level of each value, and the variance of their difference; `gaps` are in days."""
+    for i in range(value.shape[0]):
+        level, rate = 0.0, 0.0
+        for t in range(value.shape[1]):  # the level before is that of no data: it begins at the first value
+            if not isnan(value[i, t]):
+                level = value[i, t]
+                break
+        p_ll, p_lr, p_rr = LEVEL_SD**2, 0.0, rate_variance
+        for t in range(value.shape[1]):
+            dt = gaps[t]
+            level += rate * dt
+            p_ll += 2.0 * dt * p_lr + dt**2 * p_rr + wander * dt
+            p_lr += dt * p_rr
+            variance = p_ll + noise[i, t]
+            out[0, i, t], out[1, i, t] = level, variance
+            if isnan(value[i, t]):
+                continue
+            off, gain, gain_rate = value[i, t] - level, p_ll / variance, p_lr / variance
+            level += gain * off
+            rate += gain_rate * off
+            p_rr -= gain_rate * p_lr
+            p_lr -= gain * p_lr
+            p_ll -= gain * p_ll
 
 
 def smooth_levels(series: Series, found: Wandering, breaks: Sequence[Collection[int]] = ()) -> Path:
