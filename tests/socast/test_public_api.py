@@ -184,5 +184,5 @@ def test_simulated_fleet_is_a_recording_with_its_truth(tmp_path):
 
 def test_change_after_a_date_needs_days_on_both_sides(tables):
     model = socast.load_model("extended_physical")
-    with pytest.raises(socast.ModelError, match="1 dates, and a condition takes 6: give more days"):
+    with pytest.raises(socast.ModelError, match="1 date, and a condition takes 6: give more days"):
         socast.compare_before_after(tables.rides, model, ["taxi-001"], date(2018, 1, 17))
