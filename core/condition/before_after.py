@@ -14,9 +14,9 @@ from scipy.special import ndtri, stdtrit
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, Campaign, States
 from socast.core.condition.campaign_records import BeforeAfter, CarChange, CarSeries, LevelPath, PlaceboSpread
-from socast.core.condition.car_days import LEAST_SIBLINGS, CarDays, Series
+from socast.core.condition.car_days import LEAST_SIBLINGS, CarDays
 from socast.core.condition.detection_time import foresee_detection
-from socast.core.condition.level_model import smooth_levels
+from socast.core.condition.level_model import Series, smooth_levels
 from socast.core.condition.placebo import calibrate_errors, try_placebos
 from socast.core.condition.step_fit import (
     DeviationPanel,

@@ -15,12 +15,11 @@ from socast.core.batch import Floats
 from socast.core.condition.car_days import (
     LEAST_SIBLINGS,
     CarDays,
-    Series,
     forget_cars,
     gather_car_days,
     subtract_siblings,
 )
-from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Wandering, smooth_levels
+from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering, smooth_levels
 from socast.core.condition.level_steps import LevelStep, separate_steps, subtract_steps
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
 from socast.core.evaluate.compare.models import select_rides

@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from msgspec.structs import replace
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats
+from socast.core.condition.level_model import Series
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.core.fit.ride_blocks import get_numbers
@@ -34,31 +35,6 @@ LARGEST_FACTOR: Final = 3.0
 """A car-day with a larger factor, or one below its inverse, is none: its energy was not measured. [1]"""
 MILD_C: Final = 10.0
 """Outside temperature below which a battery holds less. [°C]"""
-
-
-class Series(NamedTuple):
-    """Hold logarithms of a factor of n cars on t dates.
-
-    Parameters
-    ----------
-    dates : (t,) int
-        Ordinals of the dates, ascending.
-    value : (n, t) float
-        Logarithm of the factor, NaN where it was not measured. [1]
-    amount : (n, t) float
-        What the noise falls with: the variance of a value is one part plus another one over the amount.
-    extra : (n, t) float
-        Further variance that is known. [1]
-    """
-
-    dates: Ints
-    value: Floats
-    amount: Floats
-    extra: Floats
-
-    def compute_variance(self, of_day: float, of_amount: float) -> Floats:
-        """Return the variance of each value. [1]"""
-        return np.asarray(of_day + of_amount / np.maximum(self.amount, 1e-9) + self.extra)
 
 
 class CarDays(NamedTuple):

@@ -24,10 +24,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.optimize import minimize
 
-from socast.core.batch import Floats
-from socast.core.condition.car_days import Series
+from socast.core.batch import Floats, Ints
 
 YEAR: Final = 365.25
 """[d]"""
@@ -41,6 +39,31 @@ MOST_CARS: Final = 100
 """Number of cars from which the variances are estimated."""
 ROUNDS: Final = 2
 """Number of times that variances of values far off are enlarged."""
+
+
+class Series(NamedTuple):
+    """Hold logarithms of a factor of n cars on t dates.
+
+    Parameters
+    ----------
+    dates : (t,) int
+        Ordinals of the dates, ascending.
+    value : (n, t) float
+        Logarithm of the factor, NaN where it was not measured. [1]
+    amount : (n, t) float
+        What the noise falls with: the variance of a value is one part plus another one over the amount.
+    extra : (n, t) float
+        Further variance that is known. [1]
+    """
+
+    dates: Ints
+    value: Floats
+    amount: Floats
+    extra: Floats
+
+    def compute_variance(self, of_day: float, of_amount: float) -> Floats:
+        """Return the variance of each value. [1]"""
+        return np.asarray(of_day + of_amount / np.maximum(self.amount, 1e-9) + self.extra)
 
 
 class Wandering(NamedTuple):
@@ -109,6 +132,8 @@ def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Ser
 
 def _maximise(series: Series, prior: Wandering) -> Wandering:
     """Return the most probable variances."""
+    from scipy.optimize import minimize  # noqa: PLC0415 - takes 0.3 s to import, and `socast live` needs none of it
+
     middle = np.log(prior[:3])
 
     def unpack(log: Floats) -> Wandering:

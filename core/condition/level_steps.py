@@ -21,8 +21,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats
-from socast.core.condition.car_days import Series
-from socast.core.condition.level_model import LEVEL_SD, MOST_CARS, YEAR, Wandering, estimate_wandering
+from socast.core.condition.level_model import LEVEL_SD, MOST_CARS, YEAR, Series, Wandering, estimate_wandering
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""

@@ -21,8 +21,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, States
-from socast.core.condition.car_days import LEAST_SIBLINGS, Series, subtract_siblings
-from socast.core.condition.level_model import CONSUMPTION, YEAR, Wandering, estimate_wandering
+from socast.core.condition.car_days import LEAST_SIBLINGS, subtract_siblings
+from socast.core.condition.level_model import CONSUMPTION, YEAR, Series, Wandering, estimate_wandering
 
 
 class DeviationPanel(NamedTuple):

@@ -13,7 +13,8 @@ import numpy as np
 
 from socast.core.condition.before_after import Campaign, compare_before_after
 from socast.core.condition.campaign_records import BeforeAfter
-from socast.core.condition.car_days import CarDays, Series
+from socast.core.condition.car_days import CarDays
+from socast.core.condition.level_model import Series
 
 FIRST: Final = date(2018, 9, 20).toordinal()
 """Ordinal of the first date."""

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from socast.core.condition.car_condition import CLEAR_SDS, Followed, follow, follow_beside_siblings
-from socast.core.condition.car_days import Series
-from socast.core.condition.level_model import CAPACITY
+from socast.core.condition.level_model import CAPACITY, Series
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.bench.figures.published import publish, write_table
 

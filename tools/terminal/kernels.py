@@ -30,8 +30,7 @@ from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.elevation_smoother import smooth_elevation
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.silences import FleetSilences, select_inputs
-from socast.core.condition.car_days import Series
-from socast.core.condition.level_model import CONSUMPTION, estimate_wandering
+from socast.core.condition.level_model import CONSUMPTION, Series, estimate_wandering
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.models.trees import Trees
 from socast.core.pipeline import Pipeline

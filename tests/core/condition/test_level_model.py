@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from socast.core.condition.car_days import Series, subtract_siblings
+from socast.core.condition.car_days import subtract_siblings
 from socast.core.condition.level_model import (
     CONSUMPTION,
     LEVEL_SD,
     YEAR,
+    Series,
     Wandering,
     estimate_wandering,
     smooth_levels,
