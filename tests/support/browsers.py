@@ -73,6 +73,7 @@ class Visit:
 
     def go(self, address: str) -> None:
         """Open a page of the workbench, such as `#/fleet`."""
+        self.page.bring_to_front()  # keys go to the window that was opened last, and not always back once it has closed
         self.page.goto(f"{self._server.origin}/{address}")
 
     def wait(self, script: str, argument: Any = None) -> None:
