@@ -109,3 +109,15 @@ def _to(value: float, digits: int, scale: float) -> str:
         return f"{value:g}"
     places = digits - 1 - floor(log10(scale))
     return f"{round(value, places):.{max(places, 0)}f}"
+
+
+def word_date(text: str) -> str:
+    """Return the day of an ISO date or time in words.
+
+    Examples
+    --------
+    >>> word_date("2018-11-03")
+    '3 November 2018'
+    """
+    day = datetime.fromisoformat(text)
+    return f"{day.day} {day:%B %Y}"

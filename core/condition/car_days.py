@@ -48,15 +48,15 @@ class CarDays(NamedTuple):
         Usable capacity by the catalogue. [kWh]
     consumption : Series
         Measured over predicted energy; its amount is the predicted energy [kWh].
-    left_out : int
-        Number of car-days with rides that have no such value.
-    energy_left_out : float
-        Their share of the measured energy. [1]
     capacity : Series
         Usable capacity over that of the catalogue; its amount is the square of the fall of the display over the number
         of rides [%^2].
     cold : (n, t) float
-        How much colder than `MILD_C` a car-day was, by its energy. [K]
+        How much colder than `MILD_C` a car-day was, by the fall of the display. [K]
+    left_out : int
+        Number of car-days with rides that have no consumption.
+    energy_left_out : float
+        Their share of the measured energy. [1]
     """
 
     cars: list[str]

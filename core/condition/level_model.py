@@ -28,7 +28,7 @@ from numba import njit
 from socast.core.batch import Floats, Ints
 
 YEAR: Final = 365.25
-"""[d]"""
+"""Length of a year. [d]"""
 LEVEL_SD: Final = 0.3
 """Standard deviation of the level of a car before any data. [1]"""
 FREEDOM: Final = 5.0

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
 from socast.core.formatting import format_count as count_things
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_minus, word_date
 from socast.tools.report.cells import Cell, ReportTable, Row, format_count, format_percent
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section
@@ -62,11 +62,11 @@ def _describe_change(result: BeforeAfter) -> str:
     what = f" ({result.what})" if result.what else ""
     change = result.change
     if change is None:
-        ends = f"The rides end on {_format_date(result.last_date)}"
-        return f"{ends}, before {_format_date(result.at or '')}{what}: nothing can be compared yet."
+        ends = f"The rides end on {word_date(result.last_date)}"
+        return f"{ends}, before {word_date(result.at or '')}{what}: nothing can be compared yet."
     cars, several = " and ".join(result.vehicles), len(result.vehicles) > 1
-    when = "on days on" if result.at is None else f"since {_format_date(result.at)}"
-    until = f" until {_format_date(result.until)}" if result.until else ""
+    when = "on days on" if result.at is None else f"since {word_date(result.at)}"
+    until = f" until {word_date(result.until)}" if result.until else ""
     words = f"90 % interval {format_change_interval(change.ci90)}. {_describe_placebos(result)}"
     if change.is_shown:
         return f"{cars} {'take' if several else 'takes'} {_word_change(change.change)} {when}{until}{what}: {words}"
@@ -115,12 +115,6 @@ def _word_change(change: float) -> str:
 
 def _format_size(size: float) -> str:
     return f"{100.0 * size:g} %"
-
-
-def _format_date(text: str) -> str:
-    """Return a date in words."""
-    day = datetime.fromisoformat(text).replace(tzinfo=UTC)
-    return f"{day.day} {day:%B %Y}"
 
 
 def _build_sections(result: BeforeAfter) -> list[Section]:

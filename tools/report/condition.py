@@ -1,6 +1,5 @@
 """Show how cars are doing: in the terminal in words and as a table, and as a page with a figure of each car."""
 
-from datetime import date
 from pathlib import Path
 from typing import Final
 
@@ -9,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_minus, word_date
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count
@@ -28,7 +27,7 @@ NOTE: Final = (
     "Consumption: measured energy over that of the model, beside the mean of the other cars of the vehicle model on "
     "the same dates, as of the last date; a car without two siblings is compared with the model alone, and the weather "
     "that the model lacks then counts as the car's. Rate: change without sudden ones; a dash where the dates are too "
-    "few. Usable: capacity at mild temperature, beside that of the catalogue. In parentheses: 95 % intervals."
+    "few. Usable: capacity at mild temperature, of that of the catalogue. In parentheses: 95 % intervals."
 )
 STEP_NOTE: Final = (
     "Changed: the first date after a sudden change whose probability is at least 80 %. Cars with a finding come first, "
@@ -133,20 +132,14 @@ def _word_change(percent: float, interval: ConfidenceInterval) -> str:
 
 def _word_step(step: ConditionStep) -> str:
     """Return a sudden change in words."""
-    low, high = (_word_date(each) for each in step.interval)
+    low, high = (word_date(each) for each in step.interval)
     between = f" (between {low} and {high})" if low != high else ""
-    return f"{_word_change(step.change_pct, step.ci95_pct)} since {_word_date(step.since)}{between}"
-
-
-def _word_date(iso: str) -> str:
-    """Return a date in words, such as `12 November 2018`."""
-    day = date.fromisoformat(iso)
-    return f"{day.day} {day:%B} {day.year}"
+    return f"{_word_change(step.change_pct, step.ci95_pct)} since {word_date(step.since)}{between}"
 
 
 def tabulate_cars(result: FleetCondition) -> ReportTable:
     """Return a row for each car."""
-    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "catalogue", "battery, %/year")
+    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "battery, %/year")
     rows = tuple(
         Row(
             car.vehicle_id,
@@ -158,7 +151,6 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
                     _format_rate(car.consumption),
                     _list_changes(car),
                     _format_usable(car),
-                    UNKNOWN if car.nominal_kwh is None else f"{car.nominal_kwh:.1f}",
                     _format_rate(car.capacity),
                 )
             ),
@@ -173,7 +165,7 @@ def _format_usable(car: CarCondition) -> str:
     if car.capacity is None or car.nominal_kwh is None:
         return UNKNOWN
     low, high = (car.nominal_kwh * (1.0 + each / 100.0) for each in car.capacity.ci95_pct)
-    return f"{car.usable_kwh:.1f} ({low:.1f} to {high:.1f})"
+    return f"{car.usable_kwh:.1f} ({low:.1f} to {high:.1f}) of {car.nominal_kwh:.1f}"
 
 
 def _format_level(trend: Trend | None) -> str:

@@ -61,8 +61,8 @@ SAVING_FIELDS: Final = ("what", "energy_kwh", "share", "per_100km_kwh", "range_k
 PRICE_FIELDS: Final = ("cost", "cost_per_100km")
 NOTE: Final = (
     "The parts add up to the measured energy. ±: half of the 95 % interval by the standard errors of the coefficients, "
-    "where the model holds them. km: the energy of the part over the present mean consumption. Negative: returned to "
-    "the battery; of what is unexplained, that the model predicts too much."
+    "where the model holds them. km: the energy of the part over the present mean consumption. Negative: given back, "
+    "to the motion or to the battery; of what is unexplained, that the model predicts too much."
 )
 
 
@@ -136,11 +136,12 @@ def describe(result: EnergySplit) -> list[str]:
         f"{format_count(fleet.rides, 'ride')} took {format_amount(fleet.measured.energy_kwh)} kWh over "
         f"{format_amount(fleet.distance_km, 0)} km, {format_amount(fleet.measured.per_100km_kwh, 2)} kWh/100 km."
     )
-    lines = [f"{consumption} By {result.model}, most of it goes to {largest}."]
+    lines = [f"{consumption} By {result.model}, the largest parts, over the measured energy, are {largest}."]
     if returned := [part.what for part in reversed(parts) if part.is_returned]:
         others = f" and {len(returned) - MOST_NAMED} more" if len(returned) > MOST_NAMED else ""
-        by = f"{'; '.join(returned[:MOST_NAMED])}{others}"
-        lines.append(f"Returned to the battery: {format_amount(fleet.returned_kwh)} kWh by {by}.")
+        by = f"{', '.join(returned[:MOST_NAMED])}{others}"
+        given = format_amount(fleet.returned_kwh)
+        lines.append(f"Given back to the motion or to the battery, of what the other parts took: {given} kWh by {by}.")
     lines.append(
         f"Unexplained: {format_amount(rest.energy_kwh)} kWh, {format_percent(rest.share)} of the measured energy."
     )
@@ -247,9 +248,9 @@ def draw_picture(steps: Sequence[Step], columns: int) -> list[Text]:
 def _illustrate(result: EnergySplit) -> list[Illustration]:
     """Return the waterfall of all rides."""
     caption = (
-        "From top to bottom, each bar begins where the one above it ends: what the parts take, what is returned to the "
-        "battery, and what the model does not explain. The last bar is the measured consumption. Lines: 95 % intervals "
-        "by the standard errors of the coefficients."
+        "From top to bottom, each bar begins where the one above it ends: what the parts take, what is given back to "
+        "the motion or to the battery, and what the model does not explain. The last bar is the measured consumption. "
+        "Lines: 95 % intervals by the standard errors of the coefficients."
     )
     return [Illustration("waterfall", "Parts of the mean consumption", caption, draw_waterfall(result.fleet))]
 

@@ -1,10 +1,9 @@
 """Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
 
-from datetime import date
 from typing import Final
 
 from socast.core.diagnose.records import Diagnosis, FoundEpisode
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_minus, word_date
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
 
 MOST_DATES: Final = 6
@@ -135,16 +134,10 @@ def _list_dates(one: FoundEpisode) -> str:
     >>> _list_dates(FoundEpisode(dates=["2018-11-01", "2018-11-22"]))
     '1 November 2018 and 22 November 2018'
     """
-    dates = [_format_date(each) for each in one.dates]
+    dates = [word_date(each) for each in one.dates]
     if len(dates) > MOST_DATES:
         return f"{len(dates)} dates from {dates[0]} to {dates[-1]}"
     return " and ".join(part for part in (", ".join(dates[:-1]), *dates[-1:]) if part)
-
-
-def _format_date(day: str) -> str:
-    """Return an ISO date in words."""
-    when = date.fromisoformat(day)
-    return f"{when.day} {when:%B %Y}"
 
 
 def _suggest_cause(one: FoundEpisode, result: Diagnosis) -> str:
