@@ -321,7 +321,9 @@ class ErrorLocation(Record, frozen=True):
 class UnknownCause(Record, frozen=True):
     """Hold something that is missing in all cars and not in the library, by the form that fits best."""
 
-    formula: Annotated[str, declare("Power of the form that fits best.", "form")]
+    formula: Annotated[
+        str, declare("Power of the form that fits best, or an effect with an implausible coefficient.", "form")
+    ]
     probability: Annotated[
         float | None,
         declare("Probability that something like it is missing. [1]", "probability", "chance"),

@@ -4,14 +4,16 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from socast.core import effects
 from socast.core.batch import Floats
+from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file, list_symbols
 from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.diagnose.gains import compute_correlation
-from socast.core.diagnose.inference.posterior import Inference
+from socast.core.diagnose.inference.posterior import ExpectedCause, Inference, LikelyCause
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.diagnose.records import EstimatedCoefficient, UnknownCause
 from socast.core.effects.declaration import VARIANT
@@ -48,30 +50,48 @@ MOTION: Final = frozenset({*LOADS, "acceleration", "air_density", "dt", "mass", 
 
 
 def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
-    """Return the records of the likely causes outside the library, the most probable first."""
+    """Return the records of the likely causes outside the library, the most probable first.
+
+    An effect of the library that would need an implausible coefficient stands for such a cause.
+    """
     out = []
-    for one in inference.findings:
-        if one.form is None or not one.is_likely:
+    for one in (*inference.findings, *inference.expected):
+        form = one.form if isinstance(one, LikelyCause) else None
+        if not one.is_sure or (form is None and one.is_plausible):
             continue
         size = one.size.estimate
         share = float(np.abs(one.column).sum() / seen.measured.sum())
         low, high = size.interval
-        out.append(
-            UnknownCause(
-                formula=one.variant,
-                probability=one.probability,
-                energy_share=share * size.value,
-                energy_share_ci95=make_interval(share * low, share * high),
-                coefficient=EstimatedCoefficient(
-                    value=size.value, ci95=make_interval(low, high), unit=derive_unit(one.form)
-                ),
-                resembles=find_resembling(one.form, one.column, inference.columns),
-                forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
-                symbols=list_symbols(one.form),
-                file=format_source_file(one.form, size.value, len(seen.measured)),
-            )
+        cause = UnknownCause(
+            formula=_word_implausible(one),
+            probability=one.probability,
+            energy_share=share * size.value,
+            energy_share_ci95=make_interval(share * low, share * high),
+            coefficient=EstimatedCoefficient(value=size.value, ci95=make_interval(low, high), unit=derive_unit(form))
+            if form is not None
+            else describe_coefficient(effects.get(one.effect), size),
+            resembles=one.effect if form is None else find_resembling(form, one.column, inference.columns),
         )
-    return out
+        if form is not None and isinstance(one, LikelyCause):
+            cause = replace(
+                cause,
+                formula=one.variant,
+                forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
+                symbols=list_symbols(form),
+                file=format_source_file(form, size.value, len(seen.measured)),
+            )
+        out.append(cause)
+    return sorted(out, key=lambda cause: -(cause.probability or 0.0))
+
+
+def _word_implausible(one: LikelyCause | ExpectedCause) -> str:
+    """Return how far the coefficient of an effect lies beyond its plausible range, and where it acts."""
+    times = abs(one.size.estimate.value) / one.largest
+    where = ""
+    if isinstance(one, LikelyCause) and one.family.is_scoped:
+        since = f" since {one.when.since}" if one.when.since else ""
+        where = f" in {'all cars' if one.family.who == 'all' else one.family.who}{since}"
+    return f"{one.effect}{where} at {times:.1f} times its largest plausible coefficient"
 
 
 def find_resembling(form: FormTerm, energy: Floats, columns: WindowColumns) -> str | None:

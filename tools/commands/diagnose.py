@@ -336,10 +336,11 @@ def _auto(
 
 def _write_suggestion(result: Diagnosis, path: Path | None) -> str | None:
     """Write the form outside the library if there is one and a path is given, and return the path."""
-    if not (path and result.unknown):
+    source = next((one.file for one in result.unknown if one.file), None)
+    if not (path and source):
         return None
     try:
-        write_whole(path, result.unknown[0].file.encode())
+        write_whole(path, source.encode())
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
     return str(path)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 from scipy.special import log_ndtr
@@ -42,8 +41,8 @@ class Alternatives:
         Family of each, its column of `WindowColumns.effects`, and its place within the family.
     size : (k,) float
         Standard deviation of the coefficient beforehand. [unit of the coefficient]
-    positive : (k,) bool
-        Whether the coefficient cannot be negative.
+    limits : (2, k) float
+        Smallest and largest plausible coefficient, in standard deviations beforehand. [1]
     log_odds : (k,) float
         Logarithm of the prior odds of each against none.
     weight : (k, d) float
@@ -60,7 +59,7 @@ class Alternatives:
     effect: Ints
     place: Ints
     size: Floats
-    positive: NDArray[np.bool_]
+    limits: Floats
     log_odds: Floats
     weight: Floats
     own: Floats
@@ -72,12 +71,29 @@ class Alternatives:
         return columns.effects[:, self.effect[at]] * self.weight[at][columns.day] * self.size[at]
 
 
-def weigh_alone(own: Floats, match: Floats, *, positive: bool) -> Floats:
-    """Return the log evidence of each alternative alone, against none."""
+def weigh_alone(own: Floats, match: Floats, limits: tuple[float, float]) -> Floats:
+    """Return the log evidence of each alternative alone, against none, with a coefficient within limits."""
     precise = 1.0 + own
-    middle = match / np.sqrt(precise)
-    sign = np.log(2.0) + log_ndtr(middle) if positive else 0.0
-    return np.asarray(0.5 * middle**2 - 0.5 * np.log(precise) + sign)
+    mean, sd = match / precise, 1.0 / np.sqrt(precise)
+    within = log_share_within(limits, mean, sd) - log_share_within(limits)
+    return np.asarray(0.5 * match * mean - 0.5 * np.log(precise) + within)
+
+
+def log_share_within(
+    limits: tuple[Floats | float, Floats | float] | Floats, mean: Floats | float = 0.0, sd: Floats | float = 1.0
+) -> Floats:
+    """Return the logarithm of the share of normal distributions that lies within limits.
+
+    Examples
+    --------
+    >>> np.exp(log_share_within((-1.0, 1.0))).round(3).item()
+    0.683
+    """
+    low, high = (np.asarray((limit - mean) / sd) for limit in limits)
+    is_above = low > 0.0  # the lower tail keeps more digits
+    low, high = np.where(is_above, -high, low), np.where(is_above, -low, high)
+    below, whole = log_ndtr(low), log_ndtr(high)
+    return np.asarray(whole + np.log1p(-np.exp(np.minimum(below - whole, -1e-12))))
 
 
 def select_alternatives(model: WindowModel, families: list[Family], kept: Alternatives | None = None) -> Alternatives:
@@ -111,7 +127,7 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
             good = able & (left > LEAST_LEFT)
             if (left > LEAST_LEFT).any() and not family.is_scoped:
                 identified.add(effect)
-            evidence = weigh_alone(own, match, positive=not family.either_sign)
+            evidence = weigh_alone(own, match, family.limits)
             of_family += [(float(evidence[at]), effect, at, size) for at in np.flatnonzero(good).tolist()]
         of_family.sort(key=lambda each: -each[0])
         odds = float(np.log(family.prior / (1.0 - family.prior)))
@@ -136,7 +152,7 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
         effect=effect_of,
         place=place_of,
         size=size_of,
-        positive=np.array([not families[number].either_sign for number in family_of.tolist()], dtype=np.bool_),
+        limits=np.array([families[number].limits for number in family_of.tolist()]).reshape(-1, 2).T,
         log_odds=np.array([row[4] for row in found]),
         weight=weights,
         own=own,

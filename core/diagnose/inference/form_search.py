@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from math import log, prod
+from math import inf, log, prod
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -153,7 +153,7 @@ def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
     own = np.maximum(raw - (along**2).sum(axis=0), 0.0)
     loose = solve_triangular(factorise_free(model), beside[:-1], lower=True)
     left = raw - (loose**2).sum(axis=0)
-    return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, positive=False), -np.inf)
+    return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, (-inf, inf)), -np.inf)
 
 
 def _rank(found: Sequence[_Scores]) -> list[UnknownForm]:

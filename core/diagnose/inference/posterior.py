@@ -6,6 +6,9 @@
 3. The odds of each finding are those of two models, with and without it, whose spreads are learned each time. The
    windows have the weights of the model without it.
 
+The coefficient of an effect lies in its plausible range beforehand, whatever its scope. So a cause that only an
+implausible coefficient would explain is left to other effects, or to forms outside the library.
+
 The size of a finding has a standard error that allows its column to act differently on different dates, and its formula
 to differ from that of the car.
 
@@ -21,12 +24,12 @@ from math import exp, hypot, inf, log, log1p, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
 
+from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm
-from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
+from socast.core.diagnose.inference.alternatives import Alternatives, log_share_within, select_alternatives
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
 from socast.core.diagnose.inference.scopes import (
@@ -79,8 +82,19 @@ class Size(NamedTuple):
     @property
     def excludes_zero(self) -> bool:
         """Whether the 95 % interval of the coefficient excludes zero."""
+        return self.nearest > 0.0
+
+    @property
+    def nearest(self) -> float:
+        """Least absolute value of the coefficient within its 95 % interval."""
         low, high = self.estimate.interval
-        return low * high > 0.0
+        return max(low, -high, 0.0)
+
+
+def _find_largest(variant: str) -> float:
+    """Return the largest plausible absolute value of the coefficient of an effect."""
+    declared = effects.get(variant)
+    return max(abs(declared.low), abs(declared.high))
 
 
 @dataclass(frozen=True)
@@ -136,13 +150,25 @@ class LikelyCause:
         return self.family.places[self.place]
 
     @property
-    def is_likely(self) -> bool:
-        """Whether it is reported: it is likely, and its 95 % interval excludes zero.
-
-        An effect is not if a form outside the library is the more probable cause.
-        """
+    def is_sure(self) -> bool:
+        """Whether something like it is likely: its 95 % interval excludes zero, and no form is more probable."""
         doubtful = self.form is None and self.causes.get(UNKNOWN, 0.0) >= LIKELY
         return self.probability >= LIKELY and self.size.excludes_zero and not doubtful
+
+    @property
+    def largest(self) -> float:
+        """Largest plausible absolute value of the coefficient of the effect. [unit of the coefficient]"""
+        return _find_largest(self.variant)
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether its 95 % interval reaches the plausible range, up to the sign; forms have none."""
+        return self.form is not None or self.size.nearest <= self.largest
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is named: something like it is likely, and its size is plausible."""
+        return self.is_sure and self.is_plausible
 
 
 @dataclass(frozen=True)
@@ -156,9 +182,24 @@ class ExpectedCause:
     column: Floats
 
     @property
-    def is_likely(self) -> bool:
-        """Whether it is reported: it is likely, and its 95 % interval excludes zero."""
+    def is_sure(self) -> bool:
+        """Whether something like it is likely, and its 95 % interval excludes zero."""
         return self.probability >= LIKELY and self.size.excludes_zero
+
+    @property
+    def largest(self) -> float:
+        """Largest plausible absolute value of the coefficient of the effect. [unit of the coefficient]"""
+        return _find_largest(self.effect)
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether its 95 % interval reaches the plausible range."""
+        return self.size.nearest <= self.largest
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is named: something like it is likely, and its size is plausible."""
+        return self.is_sure and self.is_plausible
 
 
 @dataclass(frozen=True)
@@ -330,8 +371,9 @@ class _Examiner:
         both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
         size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
         evidence = both.log_density - without.log_density
-        if given.positive[at]:  # the prior is half a normal distribution
-            evidence += log(2.0) + float(log_ndtr(size.estimate.value / size.estimate.error))
+        unit, limits = float(given.size[at]), given.limits[:, at]
+        mean, sd = size.estimate.value / unit, size.estimate.error / unit
+        evidence += float(log_share_within(limits, mean, sd) - log_share_within(limits))
         evidence /= size.spread
         rows = np.flatnonzero(given.family == number)
         of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)

@@ -2,10 +2,10 @@
 
 Given a set S of alternatives, the log evidence against none is
 
-    -log|I + A_SS| / 2 + g_S' (I + A_SS)^-1 g_S / 2 + sum over positive ones of log 2Φ(m / s),
+    -log|I + A_SS| / 2 + g_S' (I + A_SS)^-1 g_S / 2 + sum of log (share after / share before),
 
-with m and s mean and standard deviation of each coefficient. The last term is exact for one, and approximate for
-several.
+where the shares are those of the distributions of each coefficient, after and before the data, that lie in its
+plausible range. The last term is exact for one alternative, and approximate for several.
 
 References
 ----------
@@ -16,10 +16,9 @@ from collections import Counter
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.inference.alternatives import Alternatives
+from socast.core.diagnose.inference.alternatives import Alternatives, log_share_within
 
 SWEEPS: Final = 120
 """Number of sweeps over all families."""
@@ -43,13 +42,14 @@ def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floa
     precise = np.maximum(precise, 1e-9)
     mean = match / precise
     out = 0.5 * match * mean - 0.5 * np.log(precise)
-    out += np.where(given.positive[further], np.log(2.0) + log_ndtr(match / np.sqrt(precise)), 0.0)
+    limits = given.limits[:, further]
+    out += log_share_within(limits, mean, 1.0 / np.sqrt(precise)) - log_share_within(limits)
     if chosen:
-        signed = given.positive[chosen]
-        before, sd = (inverse @ given.match[chosen])[signed], np.sqrt(np.diag(inverse))[signed]
-        shifted = before[:, np.newaxis] - gain[signed] * mean
-        wider = np.sqrt(sd[:, np.newaxis] ** 2 + gain[signed] ** 2 / precise)
-        out += log_ndtr(shifted / wider).sum(axis=0) - log_ndtr(before / sd).sum()
+        before, sd = (inverse @ given.match[chosen])[:, np.newaxis], np.sqrt(np.diag(inverse))[:, np.newaxis]
+        wider = np.sqrt(sd**2 + gain**2 / precise)
+        beside_limits = given.limits[:, chosen, np.newaxis]
+        after = log_share_within(beside_limits, before - gain * mean, wider)
+        out += (after - log_share_within(beside_limits, before, sd)).sum(axis=0)
     return np.asarray(out)
 
 

@@ -5,6 +5,7 @@ dates of one change of one car. So a change of a car has one explanation.
 """
 
 from collections.abc import Mapping, Sequence
+from math import inf
 from typing import Final, Literal, NamedTuple, cast
 
 import numpy as np
@@ -122,6 +123,12 @@ class Family(NamedTuple):
     def is_unknown(self) -> bool:
         """Whether its alternatives are forms outside the library."""
         return self.who == UNKNOWN
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest plausible coefficient in standard deviations beforehand; any of a form. [1]"""
+        largest = inf if self.is_unknown else 1.0 / self.size
+        return -largest if self.either_sign else 0.0, largest
 
     @property
     def is_scoped(self) -> bool:

@@ -54,6 +54,8 @@ CURVE_SPREAD: Final = 0.4
 """Standard deviation of the factor of the accessory curve. [1]"""
 STANDBY: Final = 800.0, 500.0
 """Mean and standard deviation of the constant power where a model has no accessory curve. [W]"""
+AT_LIMIT: Final = 2.0
+"""Standard deviations of the widest prior of an expected effect at the farther end of its plausible range."""
 SEASON: Final = 85.0
 """Length of the data from which rolling and constant load may drift with the season. [days]"""
 SEASON_STEP: Final = 45.0
@@ -74,12 +76,15 @@ class Expected:
         Column of `WindowColumns.common`.
     mean, sd : float
         Its coefficient beforehand. [unit of the coefficient]
+    widest : float
+        Factor of `sd` at which the plausible range ends at `AT_LIMIT` standard deviations, at least 1. [1]
     """
 
     effect: str
     at: int
     mean: float
     sd: float
+    widest: float
 
 
 class UnknownForm(NamedTuple):
@@ -310,7 +315,9 @@ def _gather_common(
             continue
         figure = get_numbers(table, prior.of) if prior.of else np.ones(len(table))
         size = float(np.nanmean(figure))
-        expected.append(Expected(name, len(columns), prior.mean * size, prior.sd * size))
+        mean_of, sd_of = prior.mean * size, prior.sd * size
+        widest = max(effect.high - mean_of, mean_of - effect.low) / (AT_LIMIT * sd_of)
+        expected.append(Expected(name, len(columns), mean_of, sd_of, max(widest, 1.0)))
         columns.append(own * figure * prior.sd)
         mean += own * figure * prior.mean
     blocks = [*columns, *_build_speed_forces(table).T, *_build_season(table).T]

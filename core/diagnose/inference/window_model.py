@@ -73,7 +73,7 @@ class WindowModel:
     ----------
     widening : (e,) float
         Factor by which the prior of each expected effect is wider than declared, because its coefficient lies far from
-        the prior mean: the prior has the tails of a Cauchy distribution.
+        the prior mean: the prior has the tails of a Cauchy distribution, within the plausible range.
     log_spread : (4 S + D,) float
         Logarithm of the spread of each level and shape over its usual value.
     variance, weight : (n,) float
@@ -326,7 +326,8 @@ class WindowModel:
         residual = self.compute_residual()
         variance = np.diag(self.covariance())[self._expected_at]
         squares = (self.coefficients[self._expected_at] ** 2 + variance) * self.widening**2
-        self.widening = np.sqrt(np.maximum(0.5 + 0.5 * squares, 1.0))
+        widest = np.array([each.widest for each in self.columns.expected])
+        self.widening = np.clip(np.sqrt(0.5 + 0.5 * squares), 1.0, widest)
         counted = ~self.columns.ignored
         self.variance = np.full(len(residual), 1.0)
         self.variance[counted] = estimate_variance(self.columns.parts[counted], residual[counted])

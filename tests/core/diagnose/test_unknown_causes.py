@@ -1,11 +1,12 @@
-"""A form outside the library resembles the effect on the same load whose conditions it shares."""
+"""A form outside the library resembles an effect on the same load; an effect of implausible size is such a cause."""
 
 import pytest
 
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.terms import FormTerm, list_modulators
 from socast.core.diagnose.inference.window_columns import gather_window_columns
-from socast.core.diagnose.unknown_causes import find_resembling
+from socast.core.diagnose.unknown_causes import describe_unknown, find_resembling
+from tests.support.inferences import infer
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 CARRIER = {each.name: each for each in CARRIERS}
@@ -41,3 +42,10 @@ def test_form_resembles_effect_of_the_same_load_and_condition(seen, carrier, var
             found.add(find_resembling(form, energy, columns))
     assert effect in found
     assert found <= {effect, None}
+
+
+def test_effect_of_implausible_size_is_something_else_that_resembles_it():
+    windows, _, inference = infer(make_tables(make_windows(4, 14, 2, 6), {"headwind": 0.06}, of_day=0.01))
+    (cause,) = describe_unknown(windows, inference)
+    assert cause.formula == f"headwind at {cause.coefficient.value / 1.6:.1f} times its largest plausible coefficient"
+    assert (cause.resembles, cause.coefficient.plausible, cause.file) == ("headwind", False, "")

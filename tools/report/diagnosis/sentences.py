@@ -366,7 +366,7 @@ def describe_unknown(one: UnknownCause) -> list[str]:
         f"Something outside the library is missing (probability {format_chance(one.probability)}), with "
         f"{format_percent(one.energy_share)}{word_interval(one.energy_share_ci95)} of the energy, like {one.formula}; "
         f"c = {format_digits(one.coefficient.value)}{unit}"
-        f"{f'. It resembles {one.resembles}, but no form of it fits as well' if one.resembles else ''}."
+        f"{f'. It resembles {one.resembles}, but no form of it fits as well' if one.resembles and one.file else ''}."
     )
     symbols = "; ".join(f"{symbol}: {meaning}" for symbol, meaning in one.symbols.items())
     lines = [line, *([f"With {symbols}."] if symbols else [])]
@@ -388,7 +388,7 @@ def describe_end(result: Diagnosis) -> str:
 
 def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]:
     """Return where the source of the form outside the library is."""
-    if not result.unknown:
+    if not any(one.file for one in result.unknown):
         return []
     where = (
         f"{file} contains it as an effect to edit. Check it with: socast effects check {file}"

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.stats import norm
 
-from socast.core.diagnose.inference.alternatives import select_alternatives, weigh_alone
+from socast.core.diagnose.inference.alternatives import log_share_within, select_alternatives, weigh_alone
 from socast.core.diagnose.inference.scopes import Family, Timing
 from socast.core.diagnose.inference.window_model import WindowModel
 from tests.support.random_columns import build_covariance, draw_columns
@@ -83,12 +84,18 @@ def test_prior_odds_of_a_family_are_shared_by_its_alternatives(given):
     assert chances[given.family == 1].sum() == pytest.approx(0.01 / 0.99)
 
 
-@pytest.mark.parametrize("positive", [False, True])
-@pytest.mark.parametrize(("own", "match"), [(4.0, 3.0), (9.0, -2.0), (0.0, 0.0)])
-def test_evidence_of_one_alternative_is_the_integral_over_its_coefficient(own, match, positive):
+@pytest.mark.parametrize("limits", [(-np.inf, np.inf), (0.0, 2.0), (-4.0, 4.0), (0.0, 0.5)])
+@pytest.mark.parametrize(("own", "match"), [(4.0, 3.0), (9.0, -2.0), (0.0, 0.0), (30.0, 90.0)])
+def test_evidence_of_one_alternative_is_the_integral_over_its_plausible_coefficients(own, match, limits):
     def density(b):
-        return np.exp(match * b - 0.5 * own * b**2 - 0.5 * b**2) / np.sqrt(2.0 * np.pi)
+        return np.exp(match * b - 0.5 * own * b**2) * norm.pdf(b)
 
-    whole, _ = quad(density, 0.0 if positive else -12.0, 12.0)
-    evidence = weigh_alone(np.array([own]), np.array([match]), positive=positive)
-    assert evidence[0] == pytest.approx(np.log(2.0 * whole if positive else whole), abs=1e-6)
+    low, high = np.clip(limits, -12.0, 12.0)
+    whole, _ = quad(density, low, high)
+    evidence = weigh_alone(np.array([own]), np.array([match]), limits)
+    assert evidence[0] == pytest.approx(np.log(whole / (norm.cdf(high) - norm.cdf(low))), abs=1e-6)
+
+
+def test_share_within_limits_keeps_its_digits_far_from_the_middle():
+    assert log_share_within((30.0, 31.0)) == pytest.approx(norm.logsf(30.0), abs=1e-9)
+    assert log_share_within((-31.0, -30.0)) == pytest.approx(norm.logcdf(-30.0), abs=1e-9)

@@ -12,7 +12,8 @@ SINCE = "since=2018-05-17"
 GROUPS = {"taxi-0": "north", "taxi-1": "south", "taxi-2": "south", "taxi-3": "north"}
 CASES = {
     "nothing": {},
-    "all": {"headwind": 0.06},
+    "all": {"headwind": 0.015},
+    "implausible": {"headwind": 0.06},
     "car": {f"roof_load vehicle=taxi-1 {SINCE}": 0.08},
     "group": {f"tyre_pressure vehicle=taxi-{car} {SINCE}": 0.08 for car in (1, 2)},
 }
@@ -51,6 +52,12 @@ def test_planted_effect_is_found_where_it_is_and_nothing_else(name, effect, of, 
     assert (only.effect, only.family.of, only.family.who, only.when.kind) == (effect, of, who, kind)
     assert only.probability > 0.95
     assert only.evidence > 10.0
+
+
+def test_implausible_size_is_no_name():
+    (first, *_) = infer_case("implausible").findings
+    assert (first.effect, first.is_sure, first.is_plausible, first.is_likely) == ("headwind", True, False, False)
+    assert first.size.nearest > first.largest == 1.6
 
 
 @pytest.mark.parametrize("name", ["all", "car", "group"])

@@ -1,5 +1,6 @@
 """The sampler gives the probabilities that counting every set of alternatives gives."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -24,7 +25,7 @@ def draw_alternatives(seed: int, *, positive: bool = False, strength: float = 2.
         effect=np.arange(k),
         place=np.zeros(k, dtype=np.int64),
         size=np.ones(k),
-        positive=np.full(k, positive),
+        limits=np.tile([[0.0 if positive else -np.inf], [np.inf]], k),
         log_odds=np.full(k, -1.5),
         weight=np.ones((k, 1)),
         own=columns.T @ columns,
@@ -77,11 +78,29 @@ def test_at_most_one_alternative_of_a_family_is_true():
 
 def test_coefficient_of_the_wrong_sign_is_improbable():
     given = draw_alternatives(2)
-    negative, either = (
-        Alternatives(**{**vars(given), "match": -given.match, "positive": np.full(len(given.family), positive)})
-        for positive in (True, False)
-    )
+    limits = np.tile([[-np.inf], [np.inf]], len(given.family))
+    either = replace(given, match=-given.match, limits=limits)
+    negative = replace(either, limits=np.maximum(limits, 0.0))
     assert sample_alternatives(negative).chances.sum() < 0.5 * sample_alternatives(either).chances.sum()
+
+
+def test_alternative_that_must_be_implausibly_large_leaves_its_place_to_another():
+    """Two columns are nearly one, but only the second has a coefficient within its range."""
+    column = np.random.default_rng(5).normal(size=400)
+    columns = np.column_stack([column, column + 0.1 * np.random.default_rng(6).normal(size=400)])
+    given = replace(
+        draw_alternatives(0),
+        family=np.arange(2),
+        limits=np.array([[0.0, 0.0], [0.5, 2.0]]),
+        log_odds=np.full(2, -1.5),
+        own=columns.T @ columns,
+        match=columns.T @ column,
+    )
+    plausible, free = (
+        sample_alternatives(each).chances for each in (given, replace(given, limits=np.array([[0.0] * 2, [2.0] * 2])))
+    )
+    assert free[0] > 0.7 > 0.3 > free[1]
+    assert plausible[1] > 0.9 > plausible[0]
 
 
 def test_effect_of_all_cars_is_found_from_a_start_in_single_cars():
@@ -90,19 +109,13 @@ def test_effect_of_all_cars_is_found_from_a_start_in_single_cars():
     column = rng.normal(size=400)
     parts = [np.where(np.arange(400) // 100 == car, column, 0.0) for car in range(4)]
     columns = np.column_stack([column, *parts])
-    given = Alternatives(
-        **{
-            **vars(draw_alternatives(0)),
-            "family": np.arange(5),
-            "effect": np.zeros(5, dtype=np.int64),
-            "place": np.zeros(5, dtype=np.int64),
-            "size": np.ones(5),
-            "positive": np.zeros(5, dtype=np.bool_),
-            "log_odds": np.log([0.1 / 0.9, *[0.01 / 0.99] * 4]),
-            "weight": np.ones((5, 1)),
-            "own": 100.0 * columns.T @ columns,
-            "match": 100.0 * columns.T @ column,
-        }
+    given = replace(
+        draw_alternatives(0),
+        family=np.arange(5),
+        limits=np.tile([[-np.inf], [np.inf]], 5),
+        log_odds=np.log([0.1 / 0.9, *[0.01 / 0.99] * 4]),
+        own=100.0 * columns.T @ columns,
+        match=100.0 * columns.T @ column,
     )
     for seed in range(8):
         chance = sample_alternatives(given, seed).chances
