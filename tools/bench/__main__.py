@@ -6,11 +6,10 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.daily_update import measure_daily_update
 from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.filters import measure_filters
+from socast.tools.bench.filters import measure_daily_update, measure_filters
 from socast.tools.bench.learning import measure_fit, measure_fit_memory
-from socast.tools.bench.live import measure_batches, measure_live
+from socast.tools.bench.live import measure_batches, measure_live, measure_security
 from socast.tools.bench.measures import (
     Measure,
     measure_arrays,
@@ -20,7 +19,6 @@ from socast.tools.bench.measures import (
     measure_scale,
     measure_version_start,
 )
-from socast.tools.bench.security import measure_security
 from socast.tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (

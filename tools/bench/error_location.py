@@ -33,7 +33,7 @@ from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.hidden.cases import SeedData
 from socast.tools.bench.hidden.drives import BASE, Drives, Readings, RecordedShift, enter_readings, integrate_shift
-from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.simulator.hidden import EffectInputs, compute_braking_power, compute_rolling_power
 from socast.tools.simulator.shift import NO_RIDE

@@ -28,13 +28,12 @@ from socast.core.records import to_json_values
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.error_location import format_share
 from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.hidden.cases import BARE, Case, SeedData
+from socast.tools.bench.hidden.cases import ABSORBED, BARE, Case, SeedData
 from socast.tools.bench.hidden.drives import FLEET, Scope, get_midnight
-from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import get_right_names
 from socast.tools.simulator.settings import Hidden
 
 ANY: Final = tuple(effect for effect in EFFECTS if effect not in BARE)

@@ -12,12 +12,11 @@ from socast.core.formatting import format_count
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.simulation import write_recording
 from socast.tools.cluster.workers import open_workers
-from socast.tools.simulator.bent_shapes import BENT
 from socast.tools.simulator.conditions import CONDITION_NAMES, parse_conditions
 from socast.tools.simulator.fleet import prepare_fleet
 from socast.tools.simulator.fleets import FLEETS, get_fleet
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.simulator.hidden_shapes import BENT, OTHER
 from socast.tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
 from socast.tools.simulator.settings import (
     CHARGING,

@@ -1,9 +1,13 @@
 """Define the effects of `hidden` in other shapes, to test a library of textbook forms on the same phenomena.
 
 The option `--hidden cold_rolling~other` selects the other shape of `cold_rolling`. The effects of `hidden` are mostly
-linear; these bend, saturate, step, lag or depend on additional quantities.
+linear; these bend, saturate, step, lag or depend on additional quantities. `--hidden snow~bent7` selects the seventh
+bent shape of `snow`: its power raised to an exponent, multiplied by a power of the speed and by an exponential of the
+outside temperature, and delayed if it does not act by motion.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -11,7 +15,6 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, ZERO_CELSIUS
 from socast.core.errors import SettingsError
-from socast.tools.simulator.bent_shapes import BENT, bend_shape
 from socast.tools.simulator.hidden import (
     EFFECTS,
     EffectInputs,
@@ -22,6 +25,56 @@ from socast.tools.simulator.hidden import (
 )
 from socast.tools.simulator.physics import COMFORT, PERSON, WHEEL
 from socast.tools.simulator.trace import REFERENCE_DENSITY
+
+BENT: Final = "~bent"
+"""Text between the name of an effect and the number of its bent shape."""
+DELAYED: Final = frozenset(
+    {
+        "cabin_cooling",
+        "cabin_heating",
+        "cabin_warmup",
+        "cold_battery_heating",
+        "door_heat_loss",
+        "humidity",
+        "night_lights",
+        "solar_load",
+    }
+)
+"""Effects that act by time, whose bent shape may lag."""
+EXPONENT: Final = 0.45
+"""Largest absolute logarithm of the exponent. [1]"""
+SPEED: Final = 0.35
+"""Largest absolute exponent of the speed. [1]"""
+TEMPERATURE: Final = 0.35
+"""Largest absolute change of the logarithm over 20 K. [1]"""
+LAG: Final = (20.0, 400.0)
+"""Range of time constants, whose logarithm is uniform. [s]"""
+LAGGED: Final = 0.5
+"""Share of the bent shapes of `DELAYED` that lag."""
+POWER: Final = 500.0
+"""Power that an exponent does not change. [W]"""
+PACE: Final = 12.0
+"""Speed that the exponent of the speed does not change; half of it is the least speed that counts. [m/s]"""
+
+
+def bend_shape(effect: str, number: int) -> PowerFunction:
+    """Return the power of an effect in a bent shape."""
+    power = EFFECTS[effect]
+    rng = np.random.default_rng([number, *effect.encode()])
+    exponent = float(np.exp(rng.uniform(-EXPONENT, EXPONENT)))
+    speed, temperature = float(rng.uniform(-SPEED, SPEED)), float(rng.uniform(-TEMPERATURE, TEMPERATURE))
+    lag = float(np.exp(rng.uniform(*np.log(LAG)))) if effect in DELAYED and rng.uniform() < LAGGED else 0.0
+
+    def bent(view: EffectInputs) -> Floats:
+        """Return the power of the bent effect. [W]"""
+        plain = power(view)
+        out = np.sign(plain) * POWER * (np.abs(plain) / POWER) ** exponent
+        out = out * (np.maximum(view.trace.speed, PACE / 2.0) / PACE) ** speed
+        out = out * np.exp(temperature * view.trace.ambient / 20.0)
+        return np.asarray(apply_lag(out, lag) * view.trace.on if lag else out)
+
+    return bent
+
 
 OTHER: Final = "~other"
 """Suffix of the name of an effect that selects its other shape."""
@@ -246,3 +299,23 @@ def get_power(effect: str) -> PowerFunction:
 def strip_shape(effect: str) -> str:
     """Return the name of an effect without its shape."""
     return effect.partition(BENT)[0].removesuffix(OTHER)
+
+
+RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
+        "humidity": ("humidity", "demisting"),
+    }
+)
+"""Right names where the library has another name for a cause than the simulator, or several names.
+
+`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
+effect that grows with the square of the power, one with the square of the force and one with that of the speed.
+Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
+The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
+"""
+
+
+def get_right_names(effect: str) -> tuple[str, ...]:
+    """Return the effects of the library that are right names for a hidden effect."""
+    return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))

@@ -85,7 +85,7 @@ class Phenomena(NamedTuple):
     hills: bool = True
     """Streets follow the hills; without them the land is flat."""
     foreign: bool = False
-    """Cabin, heater, cold tyres and battery follow the other laws of `foreign_physics`; this needs `cabin_warmup`."""
+    """Cabin, heater, cold tyres and battery follow the other laws of `physics`; this needs `cabin_warmup`."""
 
 
 ALL_PHENOMENA: Final = Phenomena()

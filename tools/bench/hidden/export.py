@@ -22,16 +22,18 @@ from socast.core.fit.block_sums import build_design
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import ANY, LinearModel
 from socast.core.models.features import Columns
-from socast.tools.bench.hidden.cases import Case, SeedData
-from socast.tools.bench.hidden.evaluation import compute_true_energy, describe_case
-from socast.tools.bench.hidden.grading import list_truths
+from socast.tools.bench.hidden.cases import ABSORBED, Case, SeedData
+from socast.tools.bench.hidden.evaluation import (
+    RATIO,
+    compute_true_energy,
+    describe_case,
+    list_truths,
+    measure_visibility,
+)
 from socast.tools.bench.hidden.judge import GOALS
-from socast.tools.bench.hidden.parts import ABSORBED
 from socast.tools.bench.hidden.running import Task
-from socast.tools.bench.hidden.visibility import RATIO, measure_visibility
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.hidden_shapes import strip_shape
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import get_right_names, strip_shape
 
 CASES: Final = "cases.json"
 TRUTH: Final = "truth.json"

@@ -8,7 +8,10 @@ import numpy as np
 
 from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.hidden.baselines import DESCRIPTIONS
+from socast.tools.bench.hidden.cases import ABSORBED, SHAPES, SHARES
+from socast.tools.bench.hidden.evaluation import RATIO, Record
 from socast.tools.bench.hidden.figures import (
+    FILE,
     LEAST,
     compute_error_reduction,
     compute_figures,
@@ -22,14 +25,9 @@ from socast.tools.bench.hidden.figures import (
     select_far,
     select_part,
     summarise_timing,
+    tabulate_reliability,
 )
-from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.hidden.parts import ABSORBED, SHAPES, SHARES
-from socast.tools.bench.hidden.reliability import FILE, tabulate_reliability
-from socast.tools.bench.hidden.visibility import RATIO
-from socast.tools.simulator.bent_shapes import BENT
-from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import BENT, OTHER, get_right_names, strip_shape
 
 _VALUES: Final = {
     "V·I, 1.5 % or more, all: truth first": "vi",

@@ -13,8 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from socast.core.errors import SocastError
 from socast.tools.bench.hidden.cases import Case, SeedData
-from socast.tools.bench.hidden.evaluation import Diagnose, describe_case, evaluate_case
-from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.evaluation import Diagnose, Record, describe_case, evaluate_case
 
 PROCESSES: Final = 2
 TIMED: Final = 20

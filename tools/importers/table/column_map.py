@@ -13,7 +13,6 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
-from socast.tools.importers.table.name_times import find_unknown_directive
 from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
@@ -23,9 +22,17 @@ from socast.tools.importers.table.sampling import (
     Sampling,
     find_holds,
 )
-from socast.tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
+from socast.tools.importers.table.time_words import (
+    MOST_WEEKS,
+    SERIAL,
+    TIME_UNITS,
+    TimeSource,
+    find_offset,
+    find_time_unit,
+    find_unknown_directive,
+    make_zone,
+)
 from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
-from socast.tools.importers.table.zone_offsets import find_offset, make_zone
 from socast.tools.terminal.settings_file import explain_toml, find_line
 
 NOMINAL_VOLTAGE: Final = 360.0

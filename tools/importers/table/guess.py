@@ -9,7 +9,7 @@ import numpy as np
 
 from socast.core.errors import ImportFileError
 from socast.tools.importers.table.cells import to_numbers
-from socast.tools.importers.table.clock_units import judge_unit
+from socast.tools.importers.table.clock_checks import judge_unit
 from socast.tools.importers.table.column_map import (
     NOMINAL_VOLTAGE,
     ColumnMap,
@@ -18,20 +18,17 @@ from socast.tools.importers.table.column_map import (
     RideSource,
     VehicleSource,
 )
-from socast.tools.importers.table.guess_contents import Source
-from socast.tools.importers.table.guess_rows import GuessedRows, guess_rows
-from socast.tools.importers.table.guess_sources import Sources, choose_sources
+from socast.tools.importers.table.guess_sources import Source, Sources, choose_sources
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime
-from socast.tools.importers.table.guess_values import guess_values
+from socast.tools.importers.table.guess_values import GuessedRows, guess_rows, guess_values
 from socast.tools.importers.table.presets import Preset, find_preset
-from socast.tools.importers.table.row_faults import RowFaults
+from socast.tools.importers.table.row_faults import RowFaults, SkippedFiles
 from socast.tools.importers.table.row_messages import join_signals
 from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from socast.tools.importers.table.shared_stamps import spread_rows
-from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import Block, TableFile
-from socast.tools.importers.table.time_source import find_time_unit
+from socast.tools.importers.table.time_words import find_time_unit
 from socast.tools.importers.table.units import OF_WEATHER
 
 MOST_FILES: Final = 8

@@ -7,10 +7,10 @@ from rich.table import Table
 from rich.text import Text
 
 from socast.tools.importers.table.guess import GuessedMap
-from socast.tools.importers.table.guess_contents import Source
+from socast.tools.importers.table.guess_sources import Source
 from socast.tools.importers.table.guess_time import GuessedTime
 from socast.tools.importers.table.table_file import TableFile
-from socast.tools.importers.table.time_source import GUESSED_ORIGIN
+from socast.tools.importers.table.time_words import GUESSED_ORIGIN
 from socast.tools.importers.table.units import FIELD_UNITS, POWER
 from socast.tools.terminal.rich_table import Column, make_table
 

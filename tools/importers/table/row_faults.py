@@ -1,14 +1,16 @@
-"""Name the causes for which rows of text files cannot be read, with the line of the first one and the remedy."""
+"""Count rows and files that cannot be read by cause, with the place of the first one and the remedy."""
 
 import csv
 import io
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from socast.core.errors import ImportFileError
 from socast.tools.importers.table.cells import is_grouped, is_value
 from socast.tools.importers.table.guess_names import guess_name
 from socast.tools.importers.table.text_stream import TextStream
@@ -145,3 +147,45 @@ def _join_thousands(cells: Sequence[str]) -> int:
             end += 1
         count, at = count + 1, end
     return count
+
+
+class SkippedFiles:
+    """Collect the files of an import that cannot be read.
+
+    Parameters
+    ----------
+    is_active : bool
+        Whether to skip them; otherwise the first one ends the import.
+
+    Attributes
+    ----------
+    rows : dict of Path to int
+        File -> rows that were read before the damage, and are kept.
+    """
+
+    def __init__(self, is_active: bool = False) -> None:
+        self.is_active = is_active
+        self.rows: dict[Path, int] = {}
+        self._causes: dict[str, list[Path]] = defaultdict(list)
+
+    @contextmanager
+    def skip(self, path: Path) -> Iterator[None]:
+        """Skip a file with an error, where files are skipped."""
+        try:
+            yield
+        except ImportFileError as error:
+            if not self.is_active:
+                raise
+            self.rows.setdefault(path, 0)
+            cause = str(error).removeprefix(str(path)).lstrip(": ").partition(";")[0]
+            self._causes[cause].append(path)
+
+    def list_lines(self, files: int) -> list[str]:
+        """Return a line for each cause, the most frequent first."""
+        lines = []
+        for cause, paths in sorted(self._causes.items(), key=lambda item: -len(item[1])):
+            others = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+            kept = sum(self.rows[path] for path in paths)
+            rows = f"; {kept:,} rows before the damage are kept" if kept else ""
+            lines.append(f"skipped {len(paths)} of {files} files ({paths[0].name}{others}): {cause}{rows}")
+        return lines

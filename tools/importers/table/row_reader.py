@@ -16,13 +16,12 @@ from socast.core.wire.keys import join_chunks
 from socast.core.wire.messages import LONGEST_TEXT
 from socast.tools.importers.table.cells import Bools, encode_words, suggest_decimal, to_bools, to_numbers
 from socast.tools.importers.table.column_map import ColumnMap, FieldSource
-from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header
+from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, SkippedFiles, is_header
+from socast.tools.importers.table.row_order import TimeSpans
 from socast.tools.importers.table.row_times import TimeReader
 from socast.tools.importers.table.shared_stamps import StampStatistics
-from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import Block, TableFile, describe_header
-from socast.tools.importers.table.time_overlaps import TimeSpans
-from socast.tools.importers.table.time_source import FIRST_EPOCH, LAST_EPOCH
+from socast.tools.importers.table.time_words import FIRST_EPOCH, LAST_EPOCH
 from socast.tools.importers.table.units import POWER
 
 NO_TIME: Final = "no time"

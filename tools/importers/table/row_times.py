@@ -11,10 +11,9 @@ import pyarrow.compute as pc
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.tools.importers.table.cells import Bools, to_bools, to_numbers
-from socast.tools.importers.table.name_times import find_day, find_origin
 from socast.tools.importers.table.table_file import Block, TableFile
 from socast.tools.importers.table.text_times import parse_times, read_offsets, to_unix
-from socast.tools.importers.table.time_source import TimeSource
+from socast.tools.importers.table.time_words import TimeSource, find_day, find_origin
 
 NEIGHBOUR: Final = 600.0
 """Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""

@@ -14,7 +14,16 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.cells import is_value
+from socast.tools.importers.table.cells import (
+    SEPARATORS,
+    find_decimal,
+    find_grouped,
+    find_header,
+    find_units,
+    is_value,
+    number_duplicates,
+    split_cells,
+)
 from socast.tools.importers.table.column_map import FileFormat
 from socast.tools.importers.table.row_faults import (
     LONGEST_EXAMPLE,
@@ -23,15 +32,6 @@ from socast.tools.importers.table.row_faults import (
     find_open_quote,
     find_width_cause,
     is_header,
-)
-from socast.tools.importers.table.text_form import (
-    SEPARATORS,
-    find_decimal,
-    find_grouped,
-    find_header,
-    find_units,
-    number_duplicates,
-    split_cells,
 )
 from socast.tools.importers.table.text_stream import TextStream, find_encoding
 

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from socast.tools.bench.hidden.reliability import (
+from socast.tools.bench.hidden.figures import (
     BOTTOM,
     LEFT,
     RIGHT,
