@@ -8,12 +8,13 @@ from rich.progress import Progress
 
 from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.filters import measure_daily_update, measure_filters
-from socast.tools.bench.learning import measure_fit, measure_fit_memory
 from socast.tools.bench.live import measure_batches, measure_live, measure_security
 from socast.tools.bench.measures import (
     Measure,
     measure_arrays,
     measure_effects_start,
+    measure_fit,
+    measure_fit_memory,
     measure_help_start,
     measure_replay,
     measure_scale,

@@ -20,7 +20,7 @@ import psutil
 
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.stream.zenoh_sink import ZenohSink
-from socast.tools.bench.fleet import make_rounds, make_vehicles
+from socast.tools.bench.measures import make_rounds, make_vehicles
 
 PATIENCE_S = 300.0
 WARM_UP = 20

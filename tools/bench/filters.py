@@ -18,8 +18,7 @@ from socast.core.forecast.learning.forecast_errors import RECORD_PERIOD, Forecas
 from socast.core.pipeline import Pipeline
 from socast.core.totals.sample_totals import BLOCK
 from socast.core.wire.messages import Leg, Message, Plan, encode
-from socast.tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
-from socast.tools.bench.measures import Measure, cut_blocks
+from socast.tools.bench.measures import PERIOD_S, START_S, Measure, cut_blocks, make_rounds, make_vehicles, name_car
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import Simulation
 

@@ -23,8 +23,7 @@ from socast.stream.loop import PUBLISH_S, Tally, run
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
-from socast.tools.bench.fleet import make_rounds, make_vehicles, name_car
-from socast.tools.bench.measures import Measure, alternate_timings
+from socast.tools.bench.measures import Measure, alternate_timings, make_rounds, make_vehicles, name_car
 from socast.tools.security.access import make_access_control
 from socast.tools.security.folder import SecureFolder
 

@@ -35,9 +35,8 @@ from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
 from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
-from socast.tools.simulator.fleets import get_fleet
 from socast.tools.simulator.preset import load_preset
-from socast.tools.simulator.settings import Simulation
+from socast.tools.simulator.settings import Simulation, get_fleet
 from socast.tools.simulator.truth import Truth
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 

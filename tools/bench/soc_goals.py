@@ -16,7 +16,7 @@ from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
 from socast.tools.bench.soc_reference import REFERENCE
-from socast.tools.simulator.fleets import COLD_SNAP, FLEETS
+from socast.tools.simulator.settings import COLD_SNAP, FLEETS
 
 MAIN: Final = ("autumn", "small", "preset")
 """Fleets on which settled weather and all days count."""

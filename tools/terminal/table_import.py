@@ -17,8 +17,13 @@ from socast.tools.importers.table.conversion import (
     open_tables,
     print_summary,
 )
-from socast.tools.importers.table.guess import guess_map
-from socast.tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
+from socast.tools.importers.table.guess import (
+    describe_preset,
+    describe_unread,
+    guess_map,
+    make_guess_table,
+    write_map_text,
+)
 from socast.tools.importers.table.presets import Preset, get_preset
 from socast.tools.importers.table.row_faults import SkippedFiles
 from socast.tools.importers.table.sampling import Sampling, find_holds

@@ -18,11 +18,10 @@ from socast.core.errors import SettingsError, SocastError
 from socast.tools.bench.figures.published import publish
 from socast.tools.bench.hidden.cases import PARTS, SEEDS, SHAPES, SHARES, Selection, Weather, draw_sample
 from socast.tools.bench.hidden.evaluation import Record
-from socast.tools.bench.hidden.export import export_tasks
 from socast.tools.bench.hidden.figures import FILE, compute_figures, draw_reliability, list_stated, summarise_timing
 from socast.tools.bench.hidden.page import list_values, make_lines
 from socast.tools.bench.hidden.recording import Measurement
-from socast.tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
+from socast.tools.bench.hidden.running import PROCESSES, Task, export_tasks, make_tasks, run_tasks
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.terminal.rich_table import Column, make_table
 

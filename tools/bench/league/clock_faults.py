@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from socast.tools.bench.league.fault import CLOCK, ORDER, SAMPLES, fault, find_drives, pick_block
-from socast.tools.bench.league.loggers import Car, Log
+from socast.tools.bench.league.loggers import CLOCK, ORDER, SAMPLES, Car, Log, fault, find_drives, pick_block
 
 
 def _count(car: Car, _: np.random.Generator) -> None:

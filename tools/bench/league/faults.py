@@ -6,8 +6,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.tools.bench.league import clock_faults
-from socast.tools.bench.league.fault import FAULTS, VALUES, fault, find_drives, pick_block
-from socast.tools.bench.league.loggers import Car, Log, blank
+from socast.tools.bench.league.loggers import FAULTS, VALUES, Car, Log, blank, fault, find_drives, pick_block
 
 __all__ = ["FAULTS", "clock_faults"]
 

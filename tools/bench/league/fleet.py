@@ -11,10 +11,18 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
 from socast.stream.loop import feed
-from socast.tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
-from socast.tools.bench.league.loggers import Log, make_car, sample, write_messages
+from socast.tools.bench.league.loggers import (
+    CLOCK,
+    Fault,
+    Log,
+    are_compatible,
+    make_car,
+    sample,
+    settle,
+    write_messages,
+)
 from socast.tools.bench.measures import cut_blocks
 
 DRIVES: Final = 3

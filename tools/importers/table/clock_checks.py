@@ -14,8 +14,7 @@ from socast.tools.importers.table.agreement_sums import LONGEST_STEP, MOVING, Ca
 from socast.tools.importers.table.clock_witness import DAY, EARLIEST, ROLLOVER_WEEKS
 from socast.tools.importers.table.column_map import ColumnMap
 from socast.tools.importers.table.row_order import Overlap
-from socast.tools.importers.table.row_reader import RowReader
-from socast.tools.importers.table.row_times import SECONDS_PER_WEEK
+from socast.tools.importers.table.row_reader import SECONDS_PER_WEEK, RowReader
 from socast.tools.importers.table.table_file import TableFile
 from socast.tools.importers.table.time_words import GUESSED_ORIGIN, TIME_UNITS, find_time_unit
 from socast.tools.importers.table.units import POWER
