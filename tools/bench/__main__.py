@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from typing import Final
 
 from rich.console import Console
 from rich.progress import Progress
@@ -20,8 +21,9 @@ from socast.tools.bench.measures import (
     measure_scale,
     measure_version_start,
 )
-from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.bench.program import show_table
 
+HEADS: Final = ("what", "against", "ratio", "goal", "")
 MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_live,
     measure_batches,
@@ -42,14 +44,9 @@ MEASURES: tuple[Callable[[], Measure], ...] = (
 def main() -> None:
     """Run every measure, print the ratios, and publish them."""
     argparse.ArgumentParser(prog="python -m socast.tools.bench", description=__doc__).parse_args()
-    console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
-    columns = [Column("what"), Column("against"), Column("ratio", number=True), Column("goal"), Column("")]
-    table = make_table(columns, "Ratios of speed, measured in turn in one run")
-    for row in list_rows(measures):
-        table.add_row(*row)
-    console.print(table)
+    show_table("Ratios of speed, measured in turn in one run", HEADS, list_rows(measures), "--n--")
     publish("speed", "make bench", make_lines(measures))
 
 
@@ -68,7 +65,7 @@ def make_lines(measures: list[Measure]) -> list[str]:
             "noisy: read ratios, not seconds."
         ),
         "",
-        *write_table(["what", "against", "ratio", "goal", ""], list_rows(measures)),
+        *write_table(HEADS, list_rows(measures)),
         "",
         "### What limits each measure",
     ]

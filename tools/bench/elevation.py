@@ -6,10 +6,9 @@ clocks of the loggers do not step then, because the true climb of a window is fo
 coarse map is like a tile of SRTM: nodes 3 arc seconds apart in whole metres, with the error that the product assumes.
 """
 
-import argparse
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import nan, radians, sqrt
@@ -34,6 +33,7 @@ from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
 from socast.stream.loop import feed
 from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.measures import cut_blocks
+from socast.tools.bench.program import make_parser, write_json
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation
@@ -222,20 +222,16 @@ def make_lines(results: dict[int, dict[str, Any]]) -> list[str]:
     ]
 
 
-def main(arguments: Iterable[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure the fleets of some seeds, and print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.elevation", description=__doc__)
+    parser = make_parser("elevation", __doc__, keep=None, json=None, publish=False)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
-    parser.add_argument("--keep", type=Path, help="folder in which learned maps are kept")
-    parser.add_argument("--json", type=Path, help="file for the figures; one that exists is used again")
-    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
-    options = parser.parse_args(None if arguments is None else list(arguments))
+    options = parser.parse_args(arguments)
     known = json.loads(options.json.read_text(encoding="utf-8")) if options.json and options.json.exists() else {}
     results = {}
     for seed in options.seeds:
         results[seed] = known.get(str(seed)) or measure_fleet(seed, options.keep)
-        if options.json:
-            options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        write_json(options.json, results)
     lines = make_lines(results)
     print("\n".join(lines))
     if options.publish:

@@ -7,10 +7,8 @@ Example: python -m socast.tools.bench.nothing_hidden --seeds 4001-4040 --keep bu
 after=.
 """
 
-import argparse
 import json
 import os
-import re
 import statistics
 import subprocess
 import sys
@@ -19,13 +17,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from rich.console import Console
-
 from socast.core.diagnose.add.terms import name_scoped
 from socast.core.errors import SettingsError, SocastError
 from socast.core.models.features import list_scope
 from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.bench.program import make_parser, parse_seeds, show_table, tell_errors, write_json
 
 ROOT: Final = Path(__file__).resolve().parent.parent.parent
 FLEET: Final = (
@@ -70,65 +66,32 @@ class Summary(NamedTuple):
     named: int
 
 
-def main(arguments: list[str] | None = None) -> int:
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
     """Run the measurement, print its tables and write its JSON file."""
-    options = make_parser().parse_args(arguments)
-    console = Console()
-    try:
-        seeds = parse_seeds(options.seeds)
-        trees = parse_trees(options.tree or [f"here={ROOT}"])
-        hidden = options.hidden
-        with tempfile.TemporaryDirectory() as scratch:
-            keep = (options.keep or Path(scratch)).resolve()
-            keep.mkdir(parents=True, exist_ok=True)
-            measured: dict[str, list[Fleet]] = {name: [] for name in trees}
-            for seed in seeds:
-                for name, fleet in measure_seed(seed, trees, keep, hidden).items():
-                    measured[name].append(fleet)
-                    names = ", ".join(fleet.named) or "nothing"
-                    console.print(f"{seed} {name}: {fleet.rides} rides, {fleet.windows} windows, named: {names}")
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
+    parser = make_parser("nothing_hidden", __doc__, seeds="4001-4040", keep=None, json=None, publish=False)
+    parser.add_argument("--tree", action="append", metavar="NAME=FOLDER", help="source tree; default: this one")
+    parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
+    options = parser.parse_args(arguments)
+    seeds, hidden = parse_seeds(options.seeds), options.hidden
+    trees = parse_trees(options.tree or [f"here={ROOT}"])
+    measured: dict[str, list[Fleet]] = {name: [] for name in trees}
+    with tempfile.TemporaryDirectory() as scratch:
+        keep = (options.keep or Path(scratch)).resolve()
+        keep.mkdir(parents=True, exist_ok=True)
+        for seed in seeds:
+            for name, fleet in measure_seed(seed, trees, keep, hidden).items():
+                measured[name].append(fleet)
+                names = ", ".join(fleet.named) or "nothing"
+                print(f"{seed} {name}: {fleet.rides} rides, {fleet.windows} windows, named: {names}")
     for name, fleets in measured.items():
-        print_summaries(name, fleets, console)
+        print_summaries(name, fleets)
     if options.publish:
         command = f"python -m socast.tools.bench.nothing_hidden --seeds {options.seeds}"
         publish("nothing-hidden", command, make_lines(measured, " ".join(FLEET)))
-    if options.json:
-        content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
-        settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
-        options.json.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-    return 0
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = argparse.ArgumentParser("nothing-hidden", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default="4001-4040", help="seeds, such as 4001-4040 or 7,9")
-    parser.add_argument("--tree", action="append", metavar="NAME=FOLDER", help="source tree; default: this one")
-    parser.add_argument("--keep", type=Path, help="folder for recordings and diagnoses; those in it are used again")
-    parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
-    parser.add_argument("--json", type=Path, help="file for the result of every fleet")
-    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
-    return parser
-
-
-def parse_seeds(text: str) -> list[int]:
-    """Return the seeds of a list of numbers and ranges.
-
-    Examples
-    --------
-    >>> parse_seeds("1-3,7")
-    [1, 2, 3, 7]
-    """
-    out: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
-        if match is None:
-            raise SettingsError(f"--seeds is {text!r}; give numbers and ranges, such as 4001-4040,4050")
-        out += range(int(match[1]), int(match[2] or match[1]) + 1)
-    return out
+    content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
+    settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
+    write_json(options.json, settings)
 
 
 def parse_trees(given: Sequence[str]) -> dict[str, Path]:
@@ -207,16 +170,16 @@ def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
     return sorted(out, key=lambda each: -abs(each.median))
 
 
-def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> None:
+def print_summaries(name: str, fleets: Sequence[Fleet]) -> None:
     """Print the table of a source tree."""
-    heads = ("fleets", "min z", "median z", "max z", "named in")
-    table = make_table([Column("effect"), *(Column(head, number=True) for head in heads)], f"{name}: nothing hidden")
-    for row in summarise_effects(fleets):
-        cells = (f"{row.least:.1f}", f"{row.median:.1f}", f"{row.most:.1f}", str(row.named))
-        table.add_row(row.effect, str(row.fleets), *cells)
-    console.print(table)
+    heads = ("effect", "fleets", "min z", "median z", "max z", "named in")
+    rows = [
+        (row.effect, str(row.fleets), *(f"{z:.1f}" for z in (row.least, row.median, row.most)), str(row.named))
+        for row in summarise_effects(fleets)
+    ]
+    show_table(f"{name}: nothing hidden", heads, rows)
     total = sum(len(fleet.named) for fleet in fleets)
-    console.print(f"{name}: {total} false names in {len(fleets)} fleets")
+    print(f"{name}: {total} false names in {len(fleets)} fleets")
 
 
 def make_lines(measured: Mapping[str, Sequence[Fleet]], description: str) -> list[str]:

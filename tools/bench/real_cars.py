@@ -5,7 +5,6 @@ The drives are fetched by whoever measures: `docs/real-cars.md` says from where.
 Example: python -m socast.tools.bench.real_cars --ved ved/ --i3 i3/ --model3 model3/ --keep build/real --publish
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import log
@@ -25,6 +24,7 @@ from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
 from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
+from socast.tools.bench.program import NEEDED, make_parser
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice
@@ -113,11 +113,7 @@ class Car(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print, and publish if asked to."""
-    parser = argparse.ArgumentParser("real_cars", description=(__doc__ or "").splitlines()[0])
-    for name, what in (("ved", "the Vehicle Energy Dataset"), ("i3", "the BMW i3"), ("model3", "the Tesla Model 3")):
-        parser.add_argument(f"--{name}", type=Path, required=True, help=f"folder with the files of {what}")
-    parser.add_argument("--keep", type=Path, required=True, help="folder for recordings and tables; used again")
-    parser.add_argument("--publish", action="store_true", help="write the figures into the pages")
+    parser = make_parser("real_cars", __doc__, ved=NEEDED, i3=NEEDED, model3=NEEDED, keep=NEEDED, publish=False)
     given = parser.parse_args(arguments)
     given.keep.mkdir(parents=True, exist_ok=True)
     with threadpool_limits(1):

@@ -5,7 +5,6 @@ A part is left out by one change of the running program, so that everything else
 Example: python -m socast.tools.bench.soc_ablation --seed 940 --keep build/ablation
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -24,6 +23,7 @@ from socast.core.forecast.learning.consumption_terms import TERMS, CoefficientPr
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.vehicles import VehicleModel
 from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.program import NEEDED, make_parser
 from socast.tools.bench.soc_forecasts import judge, judge_fleet, read_recording
 
 FLEETS: Final = ("autumn", "autumn-no-shows", "small")
@@ -107,9 +107,8 @@ def leave_out(part: str) -> Iterator[None]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Judge forecasts without each part, and publish the table."""
-    parser = argparse.ArgumentParser("soc_ablation", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("soc_ablation", __doc__, keep=NEEDED)
     parser.add_argument("--seed", type=int, default=940)
-    parser.add_argument("--keep", type=Path, required=True, help="folder for simulated recordings; used again")
     parser.add_argument("--recording", type=Path, action="append", default=[], help="recording of real cars beside")
     options = parser.parse_args(arguments)
     rows: list[list[str]] = []

@@ -7,7 +7,6 @@ Wilson's 95 % intervals for as many independent cases as the vehicle-days are wo
 Example: python -m socast.tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep build/soc
 """
 
-import argparse
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -30,7 +29,7 @@ from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.tools.bench.figures.published import write_table
-from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.program import make_parser, parse_seeds, write_json
 from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
 from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts
@@ -63,13 +62,10 @@ BLOCK: Final = 4096
 
 def main(arguments: list[str] | None = None) -> None:
     """Judge, and print a line for each goal."""
-    parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("soc_forecasts", __doc__, seeds="1", keep=None, json=None)
     parser.add_argument("--fleet", default="autumn", help=f"parts or fleets, of {', '.join(PARTS)}, all")
-    parser.add_argument("--seeds", default="1", help="seeds, such as 1-3 or 7,9")
     parser.add_argument("--rides", type=int, default=20_000, help="number of rides of the preset")
-    parser.add_argument("--keep", type=Path, help="folder for simulated recordings; those in it are used again")
     parser.add_argument("--recording", type=Path, help="recording to judge instead of fleets")
-    parser.add_argument("--json", type=Path, help="file for the lines")
     options = parser.parse_args(arguments)
     console = Console()
     if options.recording is not None:
@@ -83,8 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
                 console.print(f"{fleet}, seed {seed}: {len(one.cases)} forecasts in {one.seconds:.0f} s")
     lines = check_goals(judged)
     console.print("\n".join(tabulate(lines)), markup=False, highlight=False, soft_wrap=True)
-    if options.json is not None:
-        options.json.write_text(json.dumps([line._asdict() for line in lines], indent=1) + "\n", encoding="utf-8")
+    write_json(options.json, [line._asdict() for line in lines])
 
 
 def list_fleets(text: str) -> list[str]:

@@ -7,7 +7,6 @@ of their files they are not measured, and what was published about them stays.
 Example: python -m socast.tools.bench.figures.evaluation --keep build/evaluation --ved ved/ --i3 i3/
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from typing import Any, Final
 from socast.core.errors import SocastError
 from socast.core.formatting import format_minus
 from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.program import NEEDED, make_parser
 
 SEEDS: Final = 241, 242
 """Seeds of the simulated fleets."""
@@ -50,11 +50,7 @@ Report = Mapping[str, Any]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and publish."""
-    parser = argparse.ArgumentParser("evaluation", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--keep", type=Path, required=True, help="folder for recordings and reports; used again")
-    parser.add_argument("--ved", type=Path, help="folder with the files of the Vehicle Energy Dataset")
-    parser.add_argument("--i3", type=Path, help="folder with the drives of the BMW i3")
-    given = parser.parse_args(arguments)
+    given = make_parser("figures.evaluation", __doc__, keep=NEEDED, ved=None, i3=None).parse_args(arguments)
     given.keep.mkdir(parents=True, exist_ok=True)
     fleets = {seed: evaluate_fleet(given.keep, seed) for seed in SEEDS}
     command = "python -m socast.tools.bench.figures.evaluation --keep build/evaluation"

@@ -24,7 +24,7 @@ from socast.tools.bench.league.fleet import (
     run_fleet,
 )
 from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
-from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.bench.program import make_parser, show_table
 
 REASONS: Final = 3
 """Number of reasons that are named in a line."""
@@ -155,7 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.drive is not None:
         show_drive(given.seed, given.drive, given.drives, names)
         return 0
-    verdicts, console = list[Verdict](), Console(stderr=given.json)
+    verdicts = list[Verdict]()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         for cars in progress.track(list_fleets(given.drives), description="driving"):
             verdicts += run_fleet(given.seed, cars, names)
@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.json:
         print(json.dumps({"seed": given.seed, "differs": differs, "drives": [asdict(each) for each in verdicts]}))
     else:
-        _show(console, verdicts, given.examples)
+        _show(verdicts, given.examples)
         print(f"cut at random, {len(cars) * DRIVES} drives give {'other ' + differs if differs else 'the same bytes'}")
     if given.publish:
         command = f"python -m socast.tools.bench.league --drives {given.drives} --seed {given.seed}"
@@ -175,33 +175,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.league", description=__doc__)
+    parser = make_parser("league", __doc__, publish=False)
     parser.add_argument("--drives", type=int, default=10_000, help="number of drives")
     parser.add_argument("--seed", type=int, default=1, help="seed of the drives and their faults")
     parser.add_argument("--faults", default="", metavar="NAMES", help="faults to choose from, with commas between them")
     parser.add_argument("--drive", type=int, help="show this drive only, with what was found and its truth")
     parser.add_argument("--examples", type=int, default=0, help="number of wrong drives to show of each fault")
     parser.add_argument("--json", action="store_true", help="print every drive as JSON")
-    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
     return parser.parse_args(arguments)
 
 
-def _show(console: Console, verdicts: Sequence[Verdict], examples: int) -> None:
-    """Print the tables."""
+def _show(verdicts: Sequence[Verdict], examples: int) -> None:
+    """Print the table, and some wrong drives of each of its lines."""
     lines = [*list_alone(verdicts), *list_pairs(verdicts, PAIRS), summarise("all", "", verdicts)]
-    columns = [Column("faults"), Column("drives", number=True), *(Column(word, number=True) for word in WORDS)]
-    table = make_table([*columns, Column("reasons")], "What became of the drives [%]")
-    for line in lines:
-        table.add_row(line.name, str(line.drives), *show_shares(line), show_reasons(line).replace("*", ""))
-    console.print(table)
+    rows = [(line.name, str(line.drives), *show_shares(line), show_reasons(line).replace("*", "")) for line in lines]
+    heads = ("faults", "drives", *WORDS, "reasons")
+    show_table("What became of the drives [%]", heads, rows, f"-{'n' * (len(heads) - 2)}-")
     for line in lines[:-1]:
-        _show_examples(line, examples)
-
-
-def _show_examples(line: Line, examples: int) -> None:
-    """Print some wrong drives of a line."""
-    for each in line.wrong[:examples]:
-        print(f"{line.name}: --drive {name_drive(each)}: {each.why}: {compare(each)}")
+        for each in line.wrong[:examples]:
+            print(f"{line.name}: --drive {name_drive(each)}: {each.why}: {compare(each)}")
 
 
 def show_drive(seed: int, drive: int, drives: int, names: Sequence[str]) -> None:

@@ -257,60 +257,66 @@ CAUSES: Final = {
 """Words of the reasons that name each family of faults."""
 
 
+Apply = Callable[[Log, np.random.Generator], None]
+Prepare = Callable[[Car, np.random.Generator], None]
+
+
 class Fault(NamedTuple):
     """Describe a fault.
 
     Parameters
     ----------
-    name, family : str
-        Its name, and the key in `CAUSES` of the reasons for which a ride may be unfit.
+    name, meaning, family : str
+        Its name, what it does, and the key in `CAUSES` of the reasons for which a ride may be unfit.
+    apply : callable
+        Function that changes the samples of a car.
     spoils : tuple of str
         What it makes useless as a witness: `speed`, `position`, `odometer`, `power`, `soc`, `counter`, `stamp`. Two
         faults that spoil the same never act together.
-    apply : callable
-        Function that changes the samples of a car.
     prepare : callable
         Function that makes the car one that can have the fault.
     """
 
     name: str
+    meaning: str
+    apply: Apply
     family: str
     stage: int
     spoils: tuple[str, ...]
-    apply: Callable[[Log, np.random.Generator], None]
-    prepare: Callable[[Car, np.random.Generator], None]
+    prepare: Prepare
     stays: tuple[str, ...]
-
-    @property
-    def meaning(self) -> str:
-        """Say in one sentence what it does."""
-        return (self.apply.__doc__ or "").partition("\n")[0]
 
 
 FAULTS: Final[dict[str, Fault]] = {}
 """Every fault by its name."""
-Apply = Callable[[Log, np.random.Generator], None]
 
 
-def _keep(_: Car, __: np.random.Generator) -> None:
-    """Leave a car as it is."""
+def keep(_: Log | Car, __: np.random.Generator) -> None:
+    """Leave the samples of a car, or the car, as they are."""
 
 
-def fault(
+def declare(
+    name: str,
+    meaning: str,
+    apply: Apply,
     family: str,
     stage: int = VALUES,
     *spoils: str,
-    prepare: Callable[[Car, np.random.Generator], None] = _keep,
+    prepare: Prepare = keep,
     stays: tuple[str, ...] = (),
-) -> Callable[[Apply], Apply]:
-    """Declare a fault by a function that has its name."""
+) -> None:
+    """Declare a fault."""
+    FAULTS[name] = Fault(name, meaning, apply, family, stage, spoils, prepare, stays)
 
-    def declare(apply: Apply) -> Apply:
-        name = apply.__name__
-        FAULTS[name] = Fault(name, family, stage, spoils, apply, prepare, stays)
+
+def fault(family: str, stage: int = VALUES, *spoils: str, **options: Any) -> Callable[[Apply], Apply]:
+    """Declare a fault by a function that has its name and says what it does."""
+
+    def register(apply: Apply) -> Apply:
+        declare(apply.__name__, apply.__doc__ or "", apply, family, stage, *spoils, **options)
         return apply
 
-    return declare
+    return register
 
 
 def find_spoiled(faults: Sequence[Fault]) -> set[str]:
