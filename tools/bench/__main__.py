@@ -7,7 +7,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import publish, show_table, write_table
 from socast.tools.bench.filters import measure_daily_update, measure_filters
 from socast.tools.bench.live import measure_batches, measure_live, measure_security
 from socast.tools.bench.measures import (
@@ -21,7 +21,6 @@ from socast.tools.bench.measures import (
     measure_scale,
     measure_version_start,
 )
-from socast.tools.bench.program import show_table
 
 HEADS: Final = ("what", "against", "ratio", "goal", "")
 MEASURES: tuple[Callable[[], Measure], ...] = (

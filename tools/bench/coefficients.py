@@ -25,8 +25,15 @@ from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_clustered_share
 from socast.core.vehicles import load_catalogue
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import keep, make_parser, parse_seeds, show_table, tell_errors
+from socast.tools.bench.figures.published import (
+    keep,
+    make_parser,
+    parse_seeds,
+    publish,
+    show_table,
+    tell_errors,
+    write_table,
+)
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.physics import ROTATING
 from socast.tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation

@@ -16,8 +16,7 @@ from scipy.stats import binomtest
 from socast.core.condition.car_condition import CLEAR_SDS, Followed, follow, follow_beside_siblings
 from socast.core.condition.level_model import CAPACITY, Series
 from socast.core.stats.scores import NORMAL_95
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import make_parser
+from socast.tools.bench.figures.published import make_parser, publish, write_table
 
 FIRST: Final = date(2018, 9, 1).toordinal()
 """First date of the made-up fleets."""

@@ -31,9 +31,8 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
 from socast.stream.loop import feed
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import make_parser, publish, write_json, write_table
 from socast.tools.bench.measures import cut_blocks
-from socast.tools.bench.program import make_parser, write_json
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation

@@ -26,11 +26,18 @@ from socast.core.diagnose.records import ErrorLocation
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import compute_wilson_interval
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import (
+    keep,
+    make_parser,
+    parse_seeds,
+    publish,
+    show_table,
+    tell_errors,
+    write_table,
+)
 from socast.tools.bench.hidden.cases import SeedData
 from socast.tools.bench.hidden.drives import BASE, Drives, Readings, RecordedShift, enter_readings, integrate_shift
 from socast.tools.bench.hidden.evaluation import Record
-from socast.tools.bench.program import keep, make_parser, parse_seeds, show_table, tell_errors
 from socast.tools.simulator.hidden import EffectInputs, compute_braking_power, compute_rolling_power
 from socast.tools.simulator.shift import NO_RIDE
 from socast.tools.simulator.trace import REFERENCE_DENSITY

@@ -6,15 +6,17 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from itertools import cycle
 from multiprocessing.synchronize import Event as ProcessEvent
 from pathlib import Path
-from statistics import median
 from threading import Event
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 
+from socast.core.batch import Floats
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.arrow_batch import write_rows
@@ -32,10 +34,19 @@ WARM_UP = 20
 """Samples of each car before the clock starts, so that every car is known and every key is declared."""
 BATCH_ROWS: Final = 1000
 """Number of samples in a batch."""
+LONGEST_WARM_UP_S: Final = 300.0
 SETTLE_S = 2.0
 """Time for the consequences of the warm-up, such as declaring the keys of forecasts, to finish. [s]"""
 
-Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
+
+class Cost(NamedTuple):
+    """Hold what taking a stream took from its first to its last sample, by the clock and in processor time. [s], [s]"""
+
+    wall_s: float
+    cpu_s: float
+
+
+Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], Cost]
 
 
 def make_batches(messages: Sequence[Message], size: int = BATCH_ROWS) -> list[Message]:
@@ -46,43 +57,69 @@ def make_batches(messages: Sequence[Message], size: int = BATCH_ROWS) -> list[Me
 
 
 def publish_stream(
-    endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent, *, batched: bool = False
+    connections: Sequence[Connection],
+    cars: int,
+    turns: int,
+    ready: ProcessEvent,
+    go: ProcessEvent,
+    stop: ProcessEvent | None = None,
+    *,
+    batched: bool = False,
 ) -> None:
-    """Publish a stream as fast as it is accepted, in a separate process."""
+    """Publish a stream as fast as it is accepted, in one session or in one of each car, and stay until the stop."""
     messages = [message for turn in make_rounds(cars, WARM_UP, turns) for message in turn]
     messages = make_batches(messages) if batched else messages
-    with Node(Connection(connect=(endpoint,))) as node:
-        sink = ZenohSink(node)
-        sink.put(make_vehicles(cars))
+    with ExitStack() as ending:
+        nodes = [ending.enter_context(Node(connection)) for connection in connections]
+        sinks = [ZenohSink(node) for node in nodes]
+        _put(sinks, make_vehicles(cars))
         for turn in make_rounds(cars, 0, WARM_UP):  # every key is declared before the clock starts
-            sink.put(turn)
+            _put(sinks, turn)
+        for node in nodes:
+            node.flush()
         ready.set()
-        go.wait(PATIENCE_S)
-        for at in range(0, len(messages), 1000):
-            sink.put(messages[at : at + 1000])
-        sink.close()
+        go.wait(LONGEST_WARM_UP_S)
+        block = 1000 - 1000 % len(sinks)
+        for at in range(0, len(messages), block):
+            _put(sinks, messages[at : at + block])
+        for sink in sinks:
+            sink.close()
+        if stop is not None:
+            stop.wait()
 
 
-def time_stream(cars: int, turns: int, consume: Consumer, *, batched: bool = False) -> float:
-    """Return the time in which a consumer takes a stream, from its first to its last sample. [s]"""
-    context = multiprocessing.get_context("spawn")
-    ready, go = context.Event(), context.Event()
+def _put(sinks: Sequence[ZenohSink], messages: Sequence[Message]) -> None:
+    """Publish messages in one session, or each in that of its car."""
+    shares = [messages] if len(sinks) == 1 else [[message] for message in messages]
+    for sink, share in zip(cycle(sinks), shares, strict=False):
+        sink.put(share)
+
+
+def connect_plainly(sessions: int = 1) -> tuple[Connection, list[Connection]]:
+    """Return the connections of a router and of its clients over plain TCP."""
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
-    with Node(Connection(listen=(endpoint,), mode="router")) as node:
-        process = context.Process(
-            target=publish_stream, args=(endpoint, cars, turns, ready, go), kwargs={"batched": batched}
-        )
-        process.start()
+    return Connection(listen=(endpoint,), mode="router"), [Connection(connect=(endpoint,))] * sessions
 
-        took = consume(node, ready, go)
+
+def time_stream(
+    ends: tuple[Connection, Sequence[Connection]], cars: int, turns: int, consume: Consumer, *, batched: bool = False
+) -> Cost:
+    """Return what a consumer takes for a stream from the clients of a router."""
+    context, (router, connections) = multiprocessing.get_context("spawn"), ends
+    ready, go = context.Event(), context.Event()
+    with Node(router) as node:
+        arguments = connections, cars, turns, ready, go
+        process = context.Process(target=publish_stream, args=arguments, kwargs={"batched": batched})
+        process.start()
+        cost = consume(node, ready, go)
         process.join(PATIENCE_S)
-    return took
+    return cost
 
 
 def make_idle_consumer(cars: int, turns: int) -> Consumer:
     """Return a consumer that only counts samples."""
 
-    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
+    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> Cost:
         seen = 0
 
         def notice(_: Any) -> None:
@@ -92,10 +129,10 @@ def make_idle_consumer(cars: int, turns: int) -> Consumer:
         with node.session.declare_subscriber("fleet/*/telemetry", notice):
             wait_until(lambda: ready.is_set() and seen == cars * WARM_UP)
             time.sleep(SETTLE_S)
-            began = time.perf_counter()
+            began = _read_clocks()
             go.set()
             wait_until(lambda: seen == cars * (WARM_UP + turns))
-            return time.perf_counter() - began
+            return Cost(*(_read_clocks() - began).tolist())
 
     return consume
 
@@ -103,31 +140,38 @@ def make_idle_consumer(cars: int, turns: int) -> Consumer:
 def make_full_consumer(cars: int, turns: int) -> Consumer:
     """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts."""
 
-    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
+    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> Cost:
         stop = Event()
         pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False)
-        began = ended = settled = 0.0
+        began: Floats | None = None
+        wall_s = settled = 0.0
         patience = time.monotonic() + PATIENCE_S
 
         def watch(_: Tally) -> None:
-            nonlocal began, ended, settled
+            nonlocal began, wall_s, settled
             if time.monotonic() > patience:
                 raise TimeoutError(f"the stream has not arrived within {PATIENCE_S:g} s; stop other work")
             received = pipeline.decoder.received["telemetry"]
-            if not began and ready.is_set() and received == cars * WARM_UP:
+            if began is None and ready.is_set() and received == cars * WARM_UP:
                 settled = settled or time.monotonic() + SETTLE_S
-            if settled and not began and time.monotonic() > settled:
-                began = time.perf_counter()
+            if began is None and settled and time.monotonic() > settled:
+                began = _read_clocks()
                 go.set()
-            elif received == cars * (WARM_UP + turns):
-                ended = ended or time.perf_counter()
+            elif began is not None and received == cars * (WARM_UP + turns):
+                wall_s = wall_s or float((_read_clocks() - began)[0])
                 stop.set()
 
         source = ZenohSource(node, stop)
         run(source, pipeline, [LatestOnlySink(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
-        return ended - began
+        assert began is not None
+        return Cost(wall_s, float((_read_clocks() - began)[1]))
 
     return consume
+
+
+def _read_clocks() -> Floats:
+    """Return a time and the processor time of this process, (2,). [s]"""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def wait_until(until: Callable[[], bool]) -> None:
@@ -143,8 +187,8 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
     """Measure the live consumer, from decoding to published forecast, against an idle subscriber."""
     total = cars * turns
     idle_s, busy_s = alternate_timings(
-        lambda: time_stream(cars, turns, make_idle_consumer(cars, turns)),
-        lambda: time_stream(cars, turns, make_full_consumer(cars, turns)),
+        lambda: time_stream(connect_plainly(), cars, turns, make_idle_consumer(cars, turns)).wall_s,
+        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns)).wall_s,
         repeats,
     )
     return Measure(
@@ -164,8 +208,8 @@ def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Mea
     """Measure the live consumer with batches of a gateway, against the same samples one by one in JSON."""
     total = cars * turns
     single_s, batch_s = alternate_timings(
-        lambda: time_stream(cars, turns, make_full_consumer(cars, turns)),
-        lambda: time_stream(cars, turns, make_full_consumer(cars, turns), batched=True),
+        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns)).wall_s,
+        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns), batched=True).wall_s,
         repeats,
     )
     return Measure(
@@ -186,72 +230,13 @@ FLEET: Final = 1000
 """Number of cars that the rules know; only some of them publish."""
 
 
-def publish_streams(connections: Sequence[Connection], turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
-    """Publish the stream of each car in a session of its own, as fast as it is accepted, in a separate process."""
-    cars = len(connections)
-    rounds = list(make_rounds(cars, WARM_UP, turns))
-    with ExitStack() as ending:
-        sinks = [ZenohSink(ending.enter_context(Node(connection))) for connection in connections]
-        for turn in (make_vehicles(cars), *make_rounds(cars, 0, WARM_UP)):
-            for sink, message in zip(sinks, turn, strict=True):
-                sink.put([message])
-        ready.set()
-        go.wait(PATIENCE_S)
-        for turn in rounds:
-            for sink, message in zip(sinks, turn, strict=True):
-                sink.put([message])
-        for sink in sinks:
-            sink.close()
-
-
-class Way(NamedTuple):
-    """Hold the cost of taking the streams of cars.
-
-    Parameters
-    ----------
-    wall_s : float
-        Time from the first to the last sample. [s]
-    cpu_s : float
-        CPU time of the process with consumer and router. [s]
-    """
-
-    wall_s: float
-    cpu_s: float
-
-
-class _CpuTimer:
-    """Take the CPU time at which a stream begins, when the consumer asks for it."""
-
-    def __init__(self, go: ProcessEvent) -> None:
-        self._go = go
-        self.began_s = 0.0
-
-    def set(self) -> None:
-        """Note the CPU time, and let the stream begin."""
-        self.began_s = time.process_time()
-        self._go.set()
-
-
-def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> Way:
-    """Return the cost at which the live consumer takes the streams of cars."""
+def connect(way: str, folder: SecureFolder, cars: int) -> tuple[Connection, list[Connection]]:
+    """Return the connections of a router and of the sessions of cars."""
     if way == "plain":
-        endpoint = f"tcp/127.0.0.1:{find_free_port()}"
-        router = Connection(listen=(endpoint,), mode="router")
-        connections = [Connection(connect=(endpoint,))] * cars
-    else:
-        config = folder.path / ("router.json5" if way == "rules" else "open.json5")
-        router = Connection(listen=(f"tls/127.0.0.1:{folder.port}",), config=config)
-        connections = [Connection(config=folder.locate(name_car(car))) for car in range(cars)]
-    context = multiprocessing.get_context("spawn")
-    ready, go = context.Event(), context.Event()
-    with Node(router) as node:
-        process = context.Process(target=publish_streams, args=(connections, turns, ready, go))
-        process.start()
-        timer: Any = _CpuTimer(go)
-        wall_s = make_full_consumer(cars, turns)(node, ready, timer)
-        cpu_s = time.process_time() - timer.began_s
-        process.join(PATIENCE_S)
-    return Way(wall_s, cpu_s)
+        return connect_plainly(cars)
+    config = folder.path / ("router.json5" if way == "rules" else "open.json5")
+    router = Connection(listen=(f"tls/127.0.0.1:{folder.port}",), config=config)
+    return router, [Connection(config=folder.locate(name_car(car))) for car in range(cars)]
 
 
 def make_folder(path: Path, cars: int) -> SecureFolder:
@@ -270,10 +255,11 @@ def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Mea
     total = cars * turns
     with tempfile.TemporaryDirectory() as temporary:
         folder = make_folder(Path(temporary) / "keys", cars)
-        timings = [[time_way(way, folder, cars, turns) for way in WAYS] for _ in range(repeats)]
-    plain, certificates, rules = (
-        Way(*(median(costs) for costs in zip(*of_way, strict=True))) for of_way in zip(*timings, strict=True)
-    )
+        consume = make_full_consumer(cars, turns)
+        timings = [
+            [time_stream(connect(way, folder, cars), cars, turns, consume) for way in WAYS] for _ in range(repeats)
+        ]
+    plain, certificates, rules = (Cost(*costs) for costs in np.median(timings, axis=0))
     ratio = plain.wall_s / rules.wall_s
     return Measure(
         f"live consumer with certificates and access control, {FLEET:,} cars",

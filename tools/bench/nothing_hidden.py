@@ -20,8 +20,15 @@ from typing import Any, Final, NamedTuple
 from socast.core.diagnose.add.terms import name_scoped
 from socast.core.errors import SettingsError, SocastError
 from socast.core.models.features import list_scope
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import make_parser, parse_seeds, show_table, tell_errors, write_json
+from socast.tools.bench.figures.published import (
+    make_parser,
+    parse_seeds,
+    publish,
+    show_table,
+    tell_errors,
+    write_json,
+    write_table,
+)
 
 ROOT: Final = Path(__file__).resolve().parent.parent.parent
 FLEET: Final = (

@@ -15,8 +15,7 @@ import pandas as pd
 from socast.core.fit.recipes import get_recipe
 from socast.core.wire.messages import Message
 from socast.tools.bench.elevation import RECIPE, measure_forecasts, tabulate
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import keep, make_parser
+from socast.tools.bench.figures.published import keep, make_parser, publish, write_table
 from socast.tools.simulator.conditions import Conditions
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import NIGHT, Simulation

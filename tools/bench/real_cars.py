@@ -22,9 +22,8 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import ANY, LinearModel
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
 from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
-from socast.tools.bench.program import NEEDED, make_parser
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice

@@ -24,11 +24,10 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.records import to_json_values
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.error_location import format_share
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import NEEDED, keep, make_parser, parse_seeds, publish, write_table
 from socast.tools.bench.hidden.cases import ABSORBED, BARE, Case, SeedData
 from socast.tools.bench.hidden.drives import FLEET, Scope, get_midnight
 from socast.tools.bench.hidden.evaluation import Record
-from socast.tools.bench.program import NEEDED, keep, make_parser, parse_seeds
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import get_right_names
 from socast.tools.simulator.settings import Hidden

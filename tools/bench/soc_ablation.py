@@ -22,8 +22,7 @@ from socast.core.forecast.learning.car_driver import ConsumptionFactors
 from socast.core.forecast.learning.consumption_terms import TERMS, CoefficientPrior
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.vehicles import VehicleModel
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import NEEDED, make_parser
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
 from socast.tools.bench.soc_forecasts import judge, judge_fleet, read_recording
 
 FLEETS: Final = ("autumn", "autumn-no-shows", "small")

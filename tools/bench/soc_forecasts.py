@@ -28,8 +28,7 @@ from socast.core.wire.messages import Message
 from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
-from socast.tools.bench.figures.published import write_table
-from socast.tools.bench.program import make_parser, parse_seeds, write_json
+from socast.tools.bench.figures.published import make_parser, parse_seeds, write_json, write_table
 from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
 from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts

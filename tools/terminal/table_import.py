@@ -25,9 +25,9 @@ from socast.tools.importers.table.guess import (
     write_map_text,
 )
 from socast.tools.importers.table.presets import Preset, get_preset
-from socast.tools.importers.table.row_faults import SkippedFiles
 from socast.tools.importers.table.sampling import Sampling, find_holds
 from socast.tools.importers.table.table_file import KINDS, list_tables
+from socast.tools.importers.table.text_stream import SkippedFiles
 from socast.tools.importers.table.time_words import TimeSource
 from socast.tools.importers.table.weather_file import read_weather_file
 from socast.tools.terminal.output import check_outputs, make_console

@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 
 from rich.console import Console
 
-from socast.tools.bench.figures.published import ROOT, write_pages
-from socast.tools.bench.program import make_parser
+from socast.tools.bench.figures.published import ROOT, make_parser, write_pages
 
 
 class Measurement(NamedTuple):

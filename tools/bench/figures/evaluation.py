@@ -16,8 +16,7 @@ from typing import Any, Final
 
 from socast.core.errors import SocastError
 from socast.core.formatting import format_minus
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.program import NEEDED, make_parser
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
 
 SEEDS: Final = 241, 242
 """Seeds of the simulated fleets."""

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from socast.tools.bench.figures.published import publish
-from socast.tools.bench.program import NEEDED, make_parser
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish
 from socast.tools.bench.soc_forecasts import main as judge
 from socast.tools.bench.soc_forecasts import tabulate
 from socast.tools.bench.soc_goals import Line

@@ -15,14 +15,13 @@ from rich.progress import Progress
 
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.errors import SettingsError
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import make_parser, publish, show_table, tell_errors
 from socast.tools.bench.hidden.cases import PARTS, SEEDS, SHAPES, SHARES, Selection, Weather, draw_sample
 from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.bench.hidden.figures import FILE, compute_figures, draw_reliability, list_stated, summarise_timing
 from socast.tools.bench.hidden.page import list_values, make_lines
 from socast.tools.bench.hidden.recording import Measurement
 from socast.tools.bench.hidden.running import PROCESSES, Task, export_tasks, make_tasks, run_tasks
-from socast.tools.bench.program import make_parser, show_table, tell_errors
 from socast.tools.simulator.hidden import EFFECTS
 
 ROOT = Path(__file__).resolve().parent.parent.parent.parent

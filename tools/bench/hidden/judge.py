@@ -13,8 +13,8 @@ from typing import Any, Final, NamedTuple
 from socast.core.diagnose.records import NONE
 from socast.core.errors import SettingsError
 from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.figures.published import make_parser, show_table, tell_errors
 from socast.tools.bench.hidden.figures import LEAST
-from socast.tools.bench.program import make_parser, show_table, tell_errors
 
 Answers = Mapping[str, Sequence[str]]
 Truth = Mapping[str, Any]

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import make_parser, publish, show_table, write_table
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import (
     CONTROL,
@@ -24,7 +24,6 @@ from socast.tools.bench.league.fleet import (
     run_fleet,
 )
 from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
-from socast.tools.bench.program import make_parser, show_table
 
 REASONS: Final = 3
 """Number of reasons that are named in a line."""

@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 
 from socast.core.batch import Floats
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime, collect_cells
-from socast.tools.importers.table.row_faults import RowFaults
 from socast.tools.importers.table.row_reader import SECONDS_PER_WEEK, TimeReader
+from socast.tools.importers.table.text_stream import RowFaults
 from socast.tools.importers.table.text_times import parse_times, read_offsets
 from socast.tools.importers.table.time_words import LARGEST, TimeSource, find_name_day, spell_offset
 

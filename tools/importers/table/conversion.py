@@ -21,13 +21,13 @@ from socast.tools.importers.table.agreement_sums import AgreementSums, CarSums
 from socast.tools.importers.table.cells import suggest_decimal
 from socast.tools.importers.table.clock_checks import ClockRate, ClockUnit, list_checks, refuse_overlap
 from socast.tools.importers.table.column_map import ColumnMap, FileFormat
-from socast.tools.importers.table.row_faults import SkippedFiles
 from socast.tools.importers.table.row_messages import RowMessages, join_signals
 from socast.tools.importers.table.row_order import leave_out_covered_twice, sort_rows
 from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.sampling import sample_rows
 from socast.tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
 from socast.tools.importers.table.table_file import TableFile, open_table
+from socast.tools.importers.table.text_stream import SkippedFiles
 from socast.tools.importers.table.units import has_power
 from socast.tools.importers.table.weather_file import StationMessages, SunWitness, WeatherFile
 

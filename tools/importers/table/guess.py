@@ -25,12 +25,12 @@ from socast.tools.importers.table.guess_sources import Source, Sources, choose_s
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime
 from socast.tools.importers.table.guess_values import GuessedRows, guess_rows, guess_values
 from socast.tools.importers.table.presets import Preset, find_preset
-from socast.tools.importers.table.row_faults import RowFaults, SkippedFiles
 from socast.tools.importers.table.row_messages import join_signals
 from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from socast.tools.importers.table.shared_stamps import spread_rows
 from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.text_stream import RowFaults, SkippedFiles
 from socast.tools.importers.table.time_words import GUESSED_ORIGIN, find_time_unit
 from socast.tools.importers.table.units import FIELD_UNITS, OF_WEATHER, POWER
 from socast.tools.terminal.rich_table import Column, make_table

@@ -18,10 +18,10 @@ from socast.core.wire.keys import join_chunks
 from socast.core.wire.messages import LONGEST_TEXT
 from socast.tools.importers.table.cells import Bools, encode_words, suggest_decimal, to_bools, to_numbers
 from socast.tools.importers.table.column_map import ColumnMap, FieldSource
-from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, SkippedFiles, is_header
 from socast.tools.importers.table.row_order import TimeSpans
 from socast.tools.importers.table.shared_stamps import StampStatistics
 from socast.tools.importers.table.table_file import Block, TableFile, describe_header
+from socast.tools.importers.table.text_stream import HEADER_AGAIN, RowFaults, SkippedFiles, is_header
 from socast.tools.importers.table.text_times import parse_times, read_offsets, to_unix
 from socast.tools.importers.table.time_words import FIRST_EPOCH, LAST_EPOCH, TimeSource, find_day, find_origin
 from socast.tools.importers.table.units import POWER

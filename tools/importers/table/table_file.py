@@ -25,15 +25,16 @@ from socast.tools.importers.table.cells import (
     split_cells,
 )
 from socast.tools.importers.table.column_map import FileFormat
-from socast.tools.importers.table.row_faults import (
+from socast.tools.importers.table.text_stream import (
     LONGEST_EXAMPLE,
     OPEN_QUOTE,
     RowFaults,
+    TextStream,
+    find_encoding,
     find_open_quote,
     find_width_cause,
     is_header,
 )
-from socast.tools.importers.table.text_stream import TextStream, find_encoding
 
 BLOCK_BYTES: Final = 4 << 20
 """Part of a CSV file that is parsed at a time. [B]"""

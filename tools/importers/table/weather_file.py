@@ -22,8 +22,8 @@ from socast.tools.importers.table.column_map import FileFormat
 from socast.tools.importers.table.guess_names import OTHER_TIME, TIME, NamedColumn, guess_name
 from socast.tools.importers.table.guess_sources import find_times
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime, list_clocks
-from socast.tools.importers.table.row_faults import RowFaults
 from socast.tools.importers.table.table_file import TableFile, open_table
+from socast.tools.importers.table.text_stream import RowFaults
 from socast.tools.importers.table.time_words import LARGEST, spell_offset
 from socast.tools.importers.table.units import FIELD_UNITS, OF_WEATHER, find_conversion
 
