@@ -221,14 +221,14 @@ class RowMessages:
 
     def _find_gaps(self, rows: np.ndarray) -> list[float | None]:
         """Return for each row the time of the last row before it, where a gap of the map lies between, else None."""
-        if self.map.ride.gap is None:
+        if self.map.ride.gap_s is None:
             return [None] * len(rows)
         found = np.full(len(rows), None, object)
         for vehicle in np.unique(rows["vehicle"]).tolist():
             at = np.flatnonzero(rows["vehicle"] == vehicle)
             times = rows["time"][at]
             before = np.append(self._last.get(vehicle, times[0]), times[:-1])
-            is_gap = times - before > self.map.ride.gap
+            is_gap = times - before > self.map.ride.gap_s
             found[at[is_gap]] = before[is_gap]
             self._last[vehicle] = float(times[-1])
         return list(found)
