@@ -22,7 +22,6 @@ from socast.core.fit.model_summary import list_coefficients
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.formatting import format_minus
 from socast.core.models import ANY
-from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_clustered_share
 from socast.core.vehicles import load_catalogue
 from socast.tools.bench.figures.published import (
@@ -34,6 +33,7 @@ from socast.tools.bench.figures.published import (
     tell_errors,
     write_table,
 )
+from socast.tools.bench.measures import tabulate
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.physics import ROTATING
 from socast.tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation
@@ -110,10 +110,8 @@ def measure_fleet(seed: int) -> list[Estimate]:
         phenomena=PLAIN_PHENOMENA._replace(payload=True),
         faults=NO_FAULTS,
     )
-    pipeline = Pipeline(also=list(effects.list_tabulated()), two_sided=True, keep_forecasts=False)
-    pipeline.push(list(simulate(simulation, truth)))
-    pipeline.finish()
-    rides, windows = pipeline.take_rides(), pipeline.take_windows()
+    also = list(effects.list_tabulated())
+    rides, windows = tabulate(list(simulate(simulation, truth)), also=also, two_sided=True)
     fitted = fit_to_windows(RECIPE, rides, windows, covariance=False)
     key = model if model in fitted.fits else ANY
     true = find_truth(truth, rides)

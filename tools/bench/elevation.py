@@ -31,6 +31,7 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
 from socast.stream.loop import feed
+from socast.tools.bench import measures
 from socast.tools.bench.figures.published import make_parser, publish, write_json, write_table
 from socast.tools.bench.measures import cut_blocks
 from socast.tools.commands.evaluate_soc import SocForecasts
@@ -135,11 +136,8 @@ def tabulate(
     messages: Sequence[Message], elevation_map: ElevationMap | None, *, two_sided: bool
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of messages."""
-    also = effects.get_library()
-    pipeline = Pipeline(also=list(also), keep_forecasts=False, two_sided=two_sided, elevation_map=elevation_map)
-    for _ in feed(cut_blocks(messages), pipeline):
-        pass
-    return pipeline.take_rides(), pipeline.take_windows()
+    also = list(effects.get_library())
+    return measures.tabulate(messages, also=also, two_sided=two_sided, elevation_map=elevation_map)
 
 
 def measure_climb(rides: pd.DataFrame, windows: pd.DataFrame, truth: HeightTruth) -> dict[str, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -151,6 +151,14 @@ def alternate_timings(first: Callable[[], float], second: Callable[[], float], r
 def cut_blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
     """Return messages in blocks."""
     return (messages[at : at + size] for at in range(0, len(messages), size))
+
+
+def tabulate(messages: Sequence[Message], size: int = BLOCK, **options: Any) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride table and the window table that a pipeline with some options makes of messages."""
+    pipeline = Pipeline(keep_forecasts=False, **options)
+    for _ in feed(cut_blocks(messages, size), pipeline):
+        pass
+    return pipeline.take_rides(), pipeline.take_windows()
 
 
 def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
@@ -383,11 +391,8 @@ def measure_fit_memory() -> Measure:
 def _simulated() -> pd.DataFrame:
     """Return the ride table of one day of a small fleet."""
     start = datetime(2018, 1, 16, 12, tzinfo=UTC)
-    pipeline = Pipeline(also=list(effects.get_library()), keep_forecasts=False)
     messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
-    for _ in feed(cut_blocks(messages), pipeline):
-        pass
-    rides = pipeline.take_rides()
+    rides, _ = tabulate(messages, also=list(effects.get_library()))
     return rides[rides["fit_for_training"]].reset_index(drop=True)
 
 

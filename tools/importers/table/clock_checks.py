@@ -16,7 +16,7 @@ from socast.tools.importers.table.column_map import ColumnMap
 from socast.tools.importers.table.row_order import Overlap
 from socast.tools.importers.table.row_reader import SECONDS_PER_WEEK, RowReader
 from socast.tools.importers.table.table_file import TableFile
-from socast.tools.importers.table.time_words import GUESSED_ORIGIN, TIME_UNITS, find_time_unit
+from socast.tools.importers.table.time_words import FIRST_EPOCH, GUESSED_ORIGIN, TIME_UNITS, find_time_unit
 from socast.tools.importers.table.units import POWER
 
 SHORTEST_PERIOD: Final = 0.005
@@ -396,7 +396,7 @@ def _check_clock(tables: Sequence[TableFile], columns: ColumnMap, last: float) -
     """Check that no row is later than the last change of the files, which a wrong zone or unit makes."""
     limit = f"at most {CLOCK_TOLERANCE:g} s after the files were written"
     name = "clock against file"
-    if columns.time.is_relative and columns.time.origin == _to_unix(GUESSED_ORIGIN):
+    if columns.time.is_relative and columns.time.origin == FIRST_EPOCH:
         return Check(name, f"the origin {GUESSED_ORIGIN[:10]} is a guess; correct it in [time]", limit, None)
     changed = max(table.path.stat().st_mtime for table in tables)
     late = last - changed
@@ -404,8 +404,3 @@ def _check_clock(tables: Sequence[TableFile], columns: ColumnMap, last: float) -
     if late <= CLOCK_TOLERANCE:
         return Check(name, found, limit, True)
     return Check(name, found, limit, False, "set zone or unit in [time]")
-
-
-def _to_unix(text: str) -> float:
-    """Return the Unix time of a date in UTC. [s]"""
-    return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
