@@ -281,22 +281,7 @@ def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> M
     )
 
 
-def measure_help_start() -> Measure:
-    """Measure `socast --help`."""
-    return _start("--help", 15.0, "Half of it is typer and the rest the standard library; no command is imported.")
-
-
-def measure_version_start() -> Measure:
-    """Measure `socast --version`."""
-    return _start("--version", 15.0, "As for --help; reading the version takes 20 ms of `importlib.metadata`.")
-
-
-def measure_effects_start() -> Measure:
-    """Measure `socast effects list`."""
-    return _start("effects list", 50.0, "A third is importing numpy, a fifth typer with its validation, a tenth rich.")
-
-
-def _start(words: str, goal: float, bound: str) -> Measure:
+def measure_start(words: str, goal: float, bound: str) -> Measure:
     """Measure a command that prints and ends, against `python -c pass`."""
     command = ("-m", "socast.tools.cli", *words.split())
     for arguments in (BARE, command):

@@ -8,9 +8,7 @@ after=.
 """
 
 import json
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -18,19 +16,20 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from socast.core.diagnose.add.terms import name_scoped
-from socast.core.errors import SettingsError, SocastError
+from socast.core.errors import SettingsError
 from socast.core.models.features import list_scope
 from socast.tools.bench.figures.published import (
+    ROOT,
     make_parser,
     parse_seeds,
     publish,
+    run_command,
     show_table,
     tell_errors,
     write_json,
     write_table,
 )
 
-ROOT: Final = Path(__file__).resolve().parent.parent.parent
 FLEET: Final = (
     *("--vehicles", "4", "--days", "12", "--day-step", "14", "--shift-hours", "1.5"),
     *("--phenomena", "plain,payload", "--faults", "unequipped=0"),
@@ -140,31 +139,15 @@ def diagnose_recording(tree: Path, recording: Path, file: Path) -> None:
         file.write_text(Path(result).read_text(encoding="utf-8"), encoding="utf-8")
 
 
-def run_command(tree: Path, words: Sequence[str]) -> None:
-    """Run a command of `socast` from a source tree."""
-    done = subprocess.run(  # noqa: S603 - the words are ours
-        [sys.executable, "-m", "socast.tools.cli", *words],
-        cwd=tree,  # `-m` searches the working folder first
-        env={**os.environ, "PYTHONPATH": str(tree)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise SocastError(f"{tree}: socast {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()}")
-
-
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
     """Return what a diagnosis found in a fleet."""
     named = [name_scoped(m["effect"], list_scope(m.get("columns") or ())) for m in result.get("missing") or ()]
-    named += [_name_deviation(one) for one in result.get("deviations") or ()]
+    named += [
+        name_scoped(one["effect"], [one["who"], *([f"since={one['since']}"] if one["since"] else [])])
+        for one in result.get("deviations") or ()
+    ]
     z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
     return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
-
-
-def _name_deviation(one: Mapping[str, Any]) -> str:
-    """Return the effect of a deviation with the car, the group or `all`, and the date since when it acts."""
-    return name_scoped(one["effect"], [one["who"], *([f"since={one['since']}"] if one["since"] else [])])
 
 
 def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:

@@ -22,8 +22,9 @@ from socast.core.forecast.learning.car_driver import ConsumptionFactors
 from socast.core.forecast.learning.consumption_terms import TERMS, CoefficientPrior
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.vehicles import VehicleModel
+from socast.stream.mcap_reader import McapSource
 from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
-from socast.tools.bench.soc_forecasts import judge, judge_fleet, read_recording
+from socast.tools.bench.soc_forecasts import judge, judge_fleet
 
 FLEETS: Final = ("autumn", "autumn-no-shows", "small")
 """Fleets on which parts are left out."""
@@ -117,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
     for part in ("", *PARTS):
         with leave_out(part):
             errors = [measure(judge_fleet(name, options.seed, 0, options.keep).cases) for name in FLEETS]
-            errors += [measure(judge(path.stem, 0, 0.0, read_recording(path), None).cases) for path in given]
+            errors += [measure(judge(path.stem, 0, 0.0, McapSource(path), None).cases) for path in given]
         whole = whole or errors
         changes = [f"{100.0 * (error / first - 1.0):+.0f} %" for error, first in zip(errors, whole, strict=True)]
         shown = changes if part else [f"{error:.2f}" for error in errors]

@@ -9,7 +9,7 @@ Example: python -m socast.tools.bench.soc_forecasts --fleet autumn --seeds 1-2 -
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     console = Console()
     if options.recording is not None:
-        judged = [judge(options.recording.stem, 0, 0.0, read_recording(options.recording), None)]
+        judged = [judge(options.recording.stem, 0, 0.0, McapSource(options.recording), None)]
     else:
         judged = []
         for seed in parse_seeds(options.seeds):
@@ -109,7 +109,7 @@ def judge_fleet(fleet: str, seed: int, rides: int, keep: Path | None) -> Judged:
                 sink.put(block)
         displays.write_text(json.dumps(truth.displays) + "\n", encoding="utf-8")
     truth.displays = json.loads(displays.read_text(encoding="utf-8"))
-    return judge(fleet, seed, first, read_recording(recording), truth)
+    return judge(fleet, seed, first, McapSource(recording), truth)
 
 
 def make_simulation(fleet: str, seed: int, rides: int) -> Simulation:
@@ -125,13 +125,8 @@ def make_blocks(messages: Iterator[Message]) -> Iterator[list[Message]]:
         yield block
 
 
-def read_recording(path: Path) -> Iterator[Sequence[Message]]:
-    """Yield the messages of a recording."""
-    yield from McapSource(path)
-
-
 def judge(
-    fleet: str, seed: int, first_day_s: float, source: Iterator[Sequence[Message]], truth: Truth | None
+    fleet: str, seed: int, first_day_s: float, source: Iterable[Sequence[Message]], truth: Truth | None
 ) -> Judged:
     """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines."""
     begun = time.perf_counter()

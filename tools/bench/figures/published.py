@@ -96,6 +96,20 @@ def write_json(file: Path | None, content: Any) -> None:
         file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
+def run_command(tree: Path, words: Sequence[str]) -> None:
+    """Run a command of `socast` from a source tree."""
+    done = subprocess.run(  # noqa: S603 - the words are ours
+        [sys.executable, "-m", "socast.tools.cli", *words],
+        cwd=tree,  # `-m` searches the working folder first
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SocastError(f"{tree}: socast {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()}")
+
+
 def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: str | None = None) -> None:
     """Print a table.
 

@@ -15,7 +15,7 @@ from rich.progress import Progress
 
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.errors import SettingsError
-from socast.tools.bench.figures.published import make_parser, publish, show_table, tell_errors
+from socast.tools.bench.figures.published import ROOT, make_parser, publish, show_table, tell_errors
 from socast.tools.bench.hidden.cases import PARTS, SEEDS, SHAPES, SHARES, Selection, Weather, draw_sample
 from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.bench.hidden.figures import FILE, compute_figures, draw_reliability, list_stated, summarise_timing
@@ -24,7 +24,6 @@ from socast.tools.bench.hidden.recording import Measurement
 from socast.tools.bench.hidden.running import PROCESSES, Task, export_tasks, make_tasks, run_tasks
 from socast.tools.simulator.hidden import EFFECTS
 
-ROOT = Path(__file__).resolve().parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
 QUICK = 60
 """Number of data sets of each part with `--quick`."""

@@ -331,7 +331,11 @@ def compute_errors(
     for kind in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == kind)
         base = _base(windows, model, str(kind), rows)
-        more = build_design(tuple(_term(columns) for columns in named), Columns(windows.table, rows=rows), len(rows))
+        more = build_design(
+            tuple(Term(name=", ".join(columns), columns=tuple(columns), unit="1") for columns in named),
+            Columns(windows.table, rows=rows),
+            len(rows),
+        )
         energy = windows.measured[rows]
         predicted[0, rows] = predict_held_out(base, energy, fold[rows])
         predicted[1, rows] = predict_held_out(np.column_stack([base, np.nan_to_num(more)]), energy, fold[rows])
@@ -374,8 +378,3 @@ def _base(windows: Windows, model: LinearModel, kind: str, rows: Ints) -> Floats
         [np.ones(len(hours)), np.maximum(HEATING - ambient, 0.0), np.maximum(ambient - COOLING, 0.0)]
     )
     return np.column_stack([columns, power * hours[:, np.newaxis]])
-
-
-def _term(columns: Sequence[str]) -> Term:
-    """Return the term that is the product of columns."""
-    return Term(name=", ".join(columns), columns=tuple(columns), unit="1")

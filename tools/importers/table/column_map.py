@@ -5,7 +5,7 @@ A mistake in the file is one line with the file, the line number, the value, wha
 
 import tomllib
 from collections.abc import Mapping
-from datetime import datetime, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -31,7 +31,6 @@ from socast.tools.importers.table.time_words import (
     find_offset,
     find_time_unit,
     find_unknown_directive,
-    make_zone,
 )
 from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 from socast.tools.terminal.settings_file import explain_toml, find_line
@@ -355,7 +354,7 @@ class _MapReader:
         """Return the time zone of a name, or of an offset such as `+02:00`."""
         offset = None if name in {"UTC", "GMT"} else find_offset(name)
         if offset is not None and "/" not in name:
-            return make_zone(offset)
+            return timezone(timedelta(seconds=offset))
         try:
             return ZoneInfo(name)
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:

@@ -3,7 +3,7 @@
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
+from datetime import UTC, date, datetime, tzinfo
 from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -86,11 +86,6 @@ def spell_offset(seconds: float) -> str:
     """
     minutes = round(abs(seconds) / 60.0)
     return f"{'-' if seconds < 0 else '+'}{minutes // 60:02}:{minutes % 60:02}"
-
-
-def make_zone(seconds: float) -> timezone:
-    """Return the time zone of an offset."""
-    return timezone(timedelta(seconds=seconds))
 
 
 _STEMS: Final = (
