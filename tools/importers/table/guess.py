@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from rich.table import Table
@@ -21,9 +21,9 @@ from socast.tools.importers.table.column_map import (
     RideSource,
     VehicleSource,
 )
-from socast.tools.importers.table.guess_sources import Source, Sources, choose_sources
+from socast.tools.importers.table.guess_sources import GuessedMap, choose_sources, list_names
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime
-from socast.tools.importers.table.guess_values import GuessedRows, guess_rows, guess_values
+from socast.tools.importers.table.guess_values import Source, guess_rows, guess_values
 from socast.tools.importers.table.presets import Preset, find_preset
 from socast.tools.importers.table.row_messages import join_signals
 from socast.tools.importers.table.row_reader import RowReader
@@ -44,52 +44,16 @@ MOST_COUNTED: Final = 1e9
 """Time of the number 0 of clocks that count from 0, and their span, before their unit is known. [s]"""
 
 
-class GuessedMap(NamedTuple):
-    """Hold a guessed map.
-
-    Parameters
-    ----------
-    vehicle, ride : str, optional
-        Columns of the car and the ride.
-    long : tuple of (str, str), optional
-        Columns of the name and of the value of a signal.
-    left_out : sequence of (str, str)
-        Columns that are not read, with the reason.
-    rows : GuessedRows, optional
-        How rows that carry only part of the fields become samples.
-    inverted : tuple of str
-        Cars whose current and power have the opposite sign.
-    parked : (str, tuple of str), optional
-        Column and words of rows in which the car is parked.
-    vehicle_model : str, optional
-        Vehicle model of all cars, as the user gives it.
-    """
-
-    time: GuessedTime
-    vehicle: str | None
-    ride: str | None
-    is_per_file: bool
-    long: tuple[str, str] | None
-    fields: Sequence[Source]
-    left_out: Sequence[tuple[str, str]]
-    rows: GuessedRows | None
-    preset: Preset | None
-    inverted: tuple[str, ...] = ()
-    parked: tuple[str, tuple[str, ...]] | None = None
-    vehicle_model: str | None = None
-
-
 def guess_map(
     tables: Sequence[TableFile], preset: Preset | None = None, skipped: SkippedFiles | None = None
 ) -> GuessedMap:
     """Guess the map of tables."""
     tables = tables[:MOST_FILES]
     names = list(dict.fromkeys(name for table in tables for name in table.names))
-    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     if preset is not None and not preset.fits(names):
         raise ImportFileError(
             f"{tables[0].path}: lacks {', '.join(preset.list_missing(names)) or 'the columns'} of {preset.title}; it "
-            f"has {listed}; leave --preset out and use --guess"
+            f"has {list_names(names)}; leave --preset out and use --guess"
         )
     preset = preset or find_preset(names)
     if preset is not None and preset.extra_cells:
@@ -103,42 +67,26 @@ def guess_map(
         )
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")
-    sources = choose_sources(names, blocks, preset)
-    if sources.time is None:
+    guessed = choose_sources(names, blocks, preset)
+    if all(each.field in OF_WEATHER for each in guessed.fields):
         raise ImportFileError(
-            f"{tables[0].path}: no column looks like a time; it has {listed}; write a map by hand, with the column "
-            "in [time]"
+            f"{tables[0].path}: no column looks like speed, charge or power; it has {list_names(names)}; write a map "
+            "by hand, with the columns in [fields]"
         )
-    if all(each.field in OF_WEATHER for each in sources.fields):
-        raise ImportFileError(
-            f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
-            "with the columns in [fields]"
-        )
-    on_change = preset is not None and preset.on_change
-    rows, sampling, time, vehicles = _read_rows(sources, sources.time, blocks, places, on_change)
-    units = guess_values(rows, {each.field: each for each in sources.fields})
-    unresolved = sampling.unresolved if sampling else {}
+    rows, guessed, vehicles = _read_rows(guessed, blocks, places)
+    units = guess_values(rows, {each.field: each for each in guessed.fields})
+    unresolved = guessed.rows.unresolved if guessed.rows else {}
     fields = [
         each._replace(unit=found.unit, sign=found.sign, reasons=found.reasons)
-        for each in sources.fields
+        for each in guessed.fields
         if each.field not in unresolved and (found := units[each.field])
     ]
-    dropped = [each for each in sources.fields if each.field in unresolved]
-    left_out = [*sources.left_out, *((each.column or each.signal or "", unresolved[each.field]) for each in dropped)]
-    inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
-    is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
-    return GuessedMap(
-        time,
-        sources.vehicle,
-        sources.ride,
-        is_per_file,
-        sources.long,
-        fields,
-        left_out,
-        sampling,
-        preset,
-        tuple(inverted),
-        sources.parked,
+    dropped = [each for each in guessed.fields if each.field in unresolved]
+    return guessed._replace(
+        fields=fields,
+        left_out=guessed.left_out + [(each.column or each.signal or "", unresolved[each.field]) for each in dropped],
+        is_per_file=guessed.vehicle is None and len(tables) > 1 and guessed.ride is not None,
+        inverted=tuple(sorted({vehicles[place] for each in units.values() for place in each.other})),
     )
 
 
@@ -158,22 +106,20 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> tu
 
 
 def _read_rows(
-    sources: Sources, time: GuessedTime, blocks: Blocks, places: Sequence[RowFaults], on_change: bool
-) -> tuple[np.ndarray, GuessedRows | None, GuessedTime, list[str]]:
-    """Return the rows as samples in the order of time, how they become samples, the clock, and the cars."""
-    car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
+    guessed: GuessedMap, blocks: Blocks, places: Sequence[RowFaults]
+) -> tuple[np.ndarray, GuessedMap, list[str]]:
+    """Return the rows as samples in the order of time, the map with its clock and its rows, and the cars."""
+    time, parked = guessed.time, guessed.parked
     scale = _find_scale(time, blocks) if time.needs_origin else 1.0
     provisional = ColumnMap(
         Path("guess"),
         FileFormat(),
         time.to_source(scale, COUNTS_FROM) if time.needs_origin else time.to_source(),
-        car,
+        VehicleSource(guessed.vehicle, None, "", None, {}, NOMINAL_VOLTAGE),
         RideSource(),
-        sources.long,
-        {each.field: each.to_field_source() for each in sources.fields},
-        parked=ParkedSource(sources.parked[0], frozenset(word.lower() for word in sources.parked[1]))
-        if sources.parked
-        else None,
+        guessed.long,
+        {each.field: each.to_field_source() for each in guessed.fields},
+        parked=ParkedSource(parked[0], frozenset(word.lower() for word in parked[1])) if parked else None,
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
@@ -182,7 +128,7 @@ def _read_rows(
         reader.faults.take_lines(place)
         parts += [reader.convert(table, block)] if needed <= block.keys() else []
     if time.needs_origin:
-        time = _place_counts(parts, scale, time, sources.fields)
+        time = _place_counts(parts, scale, time, guessed.fields)
     rows = np.concatenate(parts)
     if not len(rows):
         table, found = blocks[0][0], reader.explain_causes(blocks[0][0].decimal)
@@ -199,12 +145,12 @@ def _read_rows(
             "or another stamp; write a time for each row"
         )
     rows = join_signals(np.concatenate(spread))
-    sampling = guess_rows(rows, on_change)
+    sampling = guess_rows(rows, guessed.preset is not None and guessed.preset.on_change)
     if sampling is not None:
         holds = find_holds(sampling.hold) | dict(sampling.holds)
         parts = list(sample_rows([rows], Sampling(sampling.period, holds, sampling.silence)))
         rows = np.concatenate(parts)
-    return rows, sampling, time, reader.vehicles
+    return rows, guessed._replace(time=time, rows=sampling), reader.vehicles
 
 
 def _find_scale(time: GuessedTime, blocks: Blocks) -> float:

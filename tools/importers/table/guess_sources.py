@@ -19,7 +19,6 @@ from socast.tools.importers.table.clock_checks import (
     sum_close_steps,
 )
 from socast.tools.importers.table.clock_witness import judge_clock, read_clock
-from socast.tools.importers.table.column_map import FieldSource
 from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
@@ -40,9 +39,10 @@ from socast.tools.importers.table.guess_time import (
     find_origin,
     list_clocks,
 )
+from socast.tools.importers.table.guess_values import GuessedRows, Source
 from socast.tools.importers.table.presets import Preset, PresetTime
 from socast.tools.importers.table.text_times import list_forms, parse_times
-from socast.tools.importers.table.units import FIELD_UNITS, Conversion, convertible, find_conversion
+from socast.tools.importers.table.units import FIELD_UNITS, convertible
 
 LOWEST_VOLTAGE: Final = 20.0
 HIGHEST_VOLTAGE: Final = 1500.0
@@ -64,25 +64,6 @@ _CHARGES: Final = re.compile(r"(ac|dc|fast|quick|super|starting)?charg(e|ing)(ac
 _DRIVES: Final = re.compile(
     r"[drnb]|driv(e|ing)|reverse|neutral|(in)?motion|moving|trip|ride|online|on|active|awake|ready|running"
 )
-
-
-class Source(NamedTuple):
-    """Hold the column or signal that a field is read from, and what is known of it: unit, sign, and the reasons."""
-
-    field: str
-    column: str | None
-    signal: str | None
-    unit: str | None
-    sign: int | None = None
-    true: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = ()
-
-    def to_field_source(self) -> FieldSource:
-        """Return a source whose values keep the unit of the contract where the unit is not known."""
-        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
-        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
-        sign = self.sign or 1
-        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
 
 
 def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
@@ -191,13 +172,11 @@ def _matches(word: str, *patterns: re.Pattern[str]) -> bool:
     return any(pattern.fullmatch(letters) for pattern in patterns)
 
 
-class Sources(NamedTuple):
-    """Hold what was chosen.
+class GuessedMap(NamedTuple):
+    """Hold a guessed map.
 
     Parameters
     ----------
-    time : GuessedTime, optional
-        None where no column is a time.
     vehicle, ride : str, optional
         Columns of the car and the ride.
     long : tuple of (str, str), optional
@@ -206,19 +185,35 @@ class Sources(NamedTuple):
         Columns that are not read, with the reason.
     parked : (str, tuple of str), optional
         Column and words of rows in which the car is parked.
+    rows : GuessedRows, optional
+        How rows that carry only part of the fields become samples.
+    inverted : tuple of str
+        Cars whose current and power have the opposite sign.
+    vehicle_model : str, optional
+        Vehicle model of all cars, as the user gives it.
     """
 
-    time: GuessedTime | None
+    time: GuessedTime
     vehicle: str | None
     ride: str | None
     long: tuple[str, str] | None
     fields: list[Source]
     left_out: list[tuple[str, str]]
-    parked: tuple[str, tuple[str, ...]] | None = None
+    parked: tuple[str, tuple[str, ...]] | None
+    preset: Preset | None
+    rows: GuessedRows | None = None
+    is_per_file: bool = False
+    inverted: tuple[str, ...] = ()
+    vehicle_model: str | None = None
 
 
-def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> Sources:
-    """Return the columns and signals to read."""
+def list_names(names: Sequence[str]) -> str:
+    """Return the first names of columns, for a message."""
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
+def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> GuessedMap:
+    """Return a map of the columns and signals to read, whose units and rows are not known yet."""
     by_name = preset is None or preset.rest
     units = {name: unit for table, _ in blocks for name, unit in zip(table.names, table.units, strict=False) if unit}
     named = [found for name in names if (found := guess_name(name, units.get(name))) is not None]
@@ -239,17 +234,22 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     if parked is not None and "charging" not in {each.field for each in fields}:
         fields += _find_charging(parked[0], blocks)
     time = _choose_clock(names, roles, preset, blocks)
+    if time is None:
+        raise ImportFileError(
+            f"{blocks[0][0].path}: no column looks like a time; it has {list_names(names)}; write a map by hand, with "
+            "the column in [time]"
+        )
     vehicle, ride = (
         _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
         for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
     )
-    read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *(time.columns if time else ())}
+    read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *time.columns}
     read |= {parked[0]} if parked else set()
     left_out = [(name, why) for name, why in left_out if name not in read]
     unread = "its name says nothing" if by_name else "the preset does not read it"
     known = read | ({each.name for each in named if each.role != STATE} if by_name else set())
     left_out += [(name, _explain_second(name) or unread) for name in names if name not in known]
-    return Sources(time, vehicle, ride, long, fields, left_out, parked)
+    return GuessedMap(time, vehicle, ride, long, fields, left_out, parked, preset)
 
 
 def _explain_second(name: str) -> str:

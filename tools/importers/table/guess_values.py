@@ -10,7 +10,7 @@ from socast.core.batch import Floats
 from socast.tools.importers.table.agreement import SignEvidence, judge_sign
 from socast.tools.importers.table.agreement_sums import AgreementSums, CarSums, sum_cars
 from socast.tools.importers.table.cells import Bools
-from socast.tools.importers.table.guess_sources import Source
+from socast.tools.importers.table.column_map import FieldSource
 from socast.tools.importers.table.sampling import HOLD, STAND
 from socast.tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
 
@@ -40,6 +40,25 @@ _WORDS: Final = {
     "energy per km": ("driving discharges the battery", "driving would charge the battery"),
 }
 """Witness of a sign -> what it says of a right sign, and of an inverted one."""
+
+
+class Source(NamedTuple):
+    """Hold the column or signal that a field is read from, and what is known of it: unit, sign, and the reasons."""
+
+    field: str
+    column: str | None
+    signal: str | None
+    unit: str | None
+    sign: int | None = None
+    true: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+    def to_field_source(self) -> FieldSource:
+        """Return a source whose values keep the unit of the contract where the unit is not known."""
+        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
+        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
+        sign = self.sign or 1
+        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
 
 
 class GuessedUnit(NamedTuple):
