@@ -8,7 +8,7 @@ coarse map is like a tile of SRTM: nodes 3 arc seconds apart in whole metres, wi
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import nan, radians, sqrt
@@ -173,7 +173,7 @@ def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap |
     return nan if error is None else error
 
 
-def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None] = print) -> dict[str, Any]:
+def measure_fleet(seed: int, keep: Path | None = None) -> dict[str, Any]:
     """Return all figures of one fleet: by map and way, and by map for the forecasts."""
     maps = dict(zip(MAPS, (None, make_tile(seed), learn_map(seed, keep)), strict=True))
     days = {name: simulate_days(seed, *when) for name, when in (("fit", FIT_DAYS), ("test", TEST_DAYS))}
@@ -187,10 +187,10 @@ def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None
             rows = measure_climb(*tables["fit"], days["fit"][1])
             rows["mae_kwh"] = measure_model(tables["fit"][0], tables["test"][0])
             figures[f"{name}, {way}"] = rows
-            say(f"{seed} {name}, {way}: {rows}")
+            print(f"{seed} {name}, {way}: {rows}")
     messages, _ = simulate_days(seed, *SOC_DAYS, NIGHT)
     figures["soc_mae_pct"] = {name: measure_forecasts(messages, maps[name]) for name in (MAPS[0], MAPS[-1])}
-    say(f"{seed} forecasts: {figures['soc_mae_pct']}")
+    print(f"{seed} forecasts: {figures['soc_mae_pct']}")
     return figures
 
 

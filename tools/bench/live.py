@@ -49,10 +49,10 @@ class Cost(NamedTuple):
 Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], Cost]
 
 
-def make_batches(messages: Sequence[Message], size: int = BATCH_ROWS) -> list[Message]:
+def make_batches(messages: Sequence[Message]) -> list[Message]:
     """Return samples in JSON as batches of one gateway in Arrow's stream format."""
     samples = [msgspec.json.decode(message.payload) for message in messages]
-    parts = [samples[at : at + size] for at in range(0, len(samples), size)]
+    parts = [samples[at : at + BATCH_ROWS] for at in range(0, len(samples), BATCH_ROWS)]
     return [Message("fleet/gateway/batch", write_rows(pa.Table.from_pylist(part)), 0) for part in parts]
 
 

@@ -32,7 +32,7 @@ FIT_DAYS: Final = 6
 """Number of days, of which the first ones are fitted."""
 
 
-def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tuple[list[Message], pd.DataFrame]:
+def simulate_fleet(seed: int, periods: Sequence[float]) -> tuple[list[Message], pd.DataFrame]:
     """Return the messages of a fleet, and the true distance [km] and energy [kWh] of its rides.
 
     Parameters
@@ -41,7 +41,7 @@ def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tup
         Periods of the loggers, assigned to the cars in turn. [s]
     """
     truth, conditions = Truth(), Conditions(periods=tuple(periods))
-    simulation = Simulation(vehicles=CARS, start=START, days=days, seed=seed, charging=NIGHT, conditions=conditions)
+    simulation = Simulation(vehicles=CARS, start=START, days=DAYS, seed=seed, charging=NIGHT, conditions=conditions)
     messages = list(simulate(simulation, truth))
     names = {"distance_km": "true_km", "energy_kwh": "true_kwh"}
     return messages, pd.DataFrame(truth.rides).rename(columns=names)[["vehicle_id", "ride_id", *names.values()]]
@@ -77,14 +77,14 @@ def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict
     }
 
 
-def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> dict[str, float]:
+def measure_periods(seed: int, periods: Sequence[float]) -> dict[str, float]:
     """Return all figures of a fleet: those of `measure_tables`, and `soc_mae_pct`.
 
     Units: periods [s].
     """
-    messages, truth = simulate_fleet(seed, periods, days)
+    messages, truth = simulate_fleet(seed, periods)
     rides, _ = tabulate(messages, None, two_sided=True)
-    first = sorted(rides["date"].unique())[FIT_DAYS * days // DAYS]
+    first = sorted(rides["date"].unique())[FIT_DAYS]
     return measure_tables(rides, truth, first) | {"soc_mae_pct": measure_forecasts(messages, None)}
 
 

@@ -202,9 +202,9 @@ def publish(name: str, command: str, lines: Sequence[str], values: Mapping[str, 
     write_pages()
 
 
-def read_published(path: Path = KEPT) -> dict[str, Published]:
+def read_published() -> dict[str, Published]:
     """Return the published figures by the name of their measurement; none without the file."""
-    return msgspec.json.decode(path.read_bytes(), type=dict[str, Published]) if path.exists() else {}
+    return msgspec.json.decode(KEPT.read_bytes(), type=dict[str, Published]) if KEPT.exists() else {}
 
 
 def list_pages() -> list[Path]:

@@ -221,11 +221,11 @@ PARTS: Final[dict[str, Callable[[Selection], Iterator[Case]]]] = {
 """Function that yields the data sets of each part."""
 
 
-def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case]:
+def draw_sample(cases: Sequence[Case], size: int | None) -> list[Case]:
     """Return data sets drawn at random, in their order; all of them if there are not more."""
     if size is None or len(cases) <= size:
         return list(cases)
-    drawn = np.random.default_rng([seed, 12]).choice(len(cases), size, replace=False)
+    drawn = np.random.default_rng([0, 12]).choice(len(cases), size, replace=False)
     return [cases[i] for i in sorted(drawn.tolist())]
 
 

@@ -226,7 +226,7 @@ def _leads(record: Record, method: str) -> bool:
     return bool(ranked) and ranked[0] in get_right_names(record["hidden"][0][0])
 
 
-def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
+def tabulate_wrong_names(records: Sequence[Record]) -> Lines:
     """Return a table of the most frequent wrong names and of the effects that were hidden."""
     pairs: dict[tuple[str, str], int] = {}
     for r in records:
@@ -234,7 +234,7 @@ def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
             hidden = " + ".join(sorted(strip_shape(effect) for effect, _ in r["hidden"])) or "nothing"
             key = hidden, r["missing"][0]["effect"]
             pairs[key] = pairs.get(key, 0) + 1
-    frequent = sorted(pairs.items(), key=lambda item: -item[1])[:most]
+    frequent = sorted(pairs.items(), key=lambda item: -item[1])[:12]
     return write_table(["hidden", "named", "data sets"], [(hidden, named, str(n)) for (hidden, named), n in frequent])
 
 
