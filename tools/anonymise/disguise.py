@@ -20,6 +20,26 @@ INVALID: Final = 999.0
 """Coordinate that replaces one that is not on Earth, in degrees."""
 
 _PER_DEGREE: Final = 1e9  # positions are rounded to 0.1 mm, so that distances stay
+WEEK_S: Final = 7 * 86400
+"""A week. [s]"""
+YEAR_DAYS: Final = 365.2422
+"""Mean length of the seasons. [d]"""
+SEASON_DAYS: Final = 0.5
+"""Largest deviation of a shift from whole years. [d]"""
+MOST_YEARS: Final = 40.0
+"""Largest shift. [a]"""
+SPAN_S: Final = 631_152_000.0, 2_840_140_800.0
+"""Times between which recordings are moved: 1990 and 2060. [Unix s]"""
+EPOCHS_S: Final = 0.0, 315_964_800.0, 946_684_800.0
+"""Times that clocks show which were never set: the beginning of 1970, of GPS and of 2000. [Unix s]"""
+RUNNING_S: Final = 400 * 86400.0
+"""Time for which such a clock may have run. [s]"""
+FINE_S: Final = 2.0**53 * 1e-6
+"""Times up to here are rounded to microseconds; floats of later ones are coarser. [Unix s]"""
+FARTHEST_DEG: Final = 175.0
+"""Largest longitude to which an area moves, because computations with longitudes fail beside 180. [deg]"""
+HASH_BYTES: Final = 6
+"""Length of a hashed name; two of 100,000 names are equal in 2 of 100,000 recordings. [B]"""
 
 
 class SphereMap(NamedTuple):
@@ -121,28 +141,6 @@ def _make_frame(latitude_deg: float, longitude_deg: float) -> Vectors:
     up = to_vector(latitude_deg, longitude_deg)
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     return np.stack([east, np.cross(up, east), up], axis=1)
-
-
-WEEK_S: Final = 7 * 86400
-"""A week. [s]"""
-YEAR_DAYS: Final = 365.2422
-"""Mean length of the seasons. [d]"""
-SEASON_DAYS: Final = 0.5
-"""Largest deviation of a shift from whole years. [d]"""
-MOST_YEARS: Final = 40.0
-"""Largest shift. [a]"""
-SPAN_S: Final = 631_152_000.0, 2_840_140_800.0
-"""Times between which recordings are moved: 1990 and 2060. [Unix s]"""
-EPOCHS_S: Final = 0.0, 315_964_800.0, 946_684_800.0
-"""Times that clocks show which were never set: the beginning of 1970, of GPS and of 2000. [Unix s]"""
-RUNNING_S: Final = 400 * 86400.0
-"""Time for which such a clock may have run. [s]"""
-FINE_S: Final = 2.0**53 * 1e-6
-"""Times up to here are rounded to microseconds; floats of later ones are coarser. [Unix s]"""
-FARTHEST_DEG: Final = 175.0
-"""Largest longitude to which an area moves, because computations with longitudes fail beside 180. [deg]"""
-HASH_BYTES: Final = 6
-"""Length of a hashed name; two of 100,000 names are equal in 2 of 100,000 recordings. [B]"""
 
 
 class Disguise(NamedTuple):

@@ -38,6 +38,24 @@ LIMITS: Final = Limits()
 _KIND_OF_NAME: Final = {"vehicle_id": "car", "ride_id": "ride"}
 _TIME: Final = POSITION["time_s"]
 _PLACE: Final = [POSITION["latitude_deg"], POSITION["longitude_deg"]]
+KEPT: Final[dict[str, type[Wire]]] = {
+    "telemetry": Telemetry,
+    "vehicle": Vehicle,
+    "ride": Ride,
+    "plan": Plan,
+    "weather": Weather,
+}
+"""Kind of message that passes in JSON -> its struct. What consumers publish does not: a replay makes it again."""
+REFUSED_BATCHES: Final = {
+    "too_large": "batches too large",
+    "not_arrow": "damaged batches",
+    "compressed": "compressed batches",
+    "too_many_samples": "batches of too many rows",
+    "empty_list": "empty batches",
+    "wrong_type": "batches with a column missing or of a wrong type",
+}
+"""Cause for which a batch cannot be used at all -> how it is counted."""
+_UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 class RewrittenBatch(NamedTuple):
@@ -150,26 +168,6 @@ def _make_numbers(values: Floats, kind: Any) -> Any:
         return column.cast(kind)
     except pa.ArrowInvalid:
         return column
-
-
-KEPT: Final[dict[str, type[Wire]]] = {
-    "telemetry": Telemetry,
-    "vehicle": Vehicle,
-    "ride": Ride,
-    "plan": Plan,
-    "weather": Weather,
-}
-"""Kind of message that passes in JSON -> its struct. What consumers publish does not: a replay makes it again."""
-REFUSED_BATCHES: Final = {
-    "too_large": "batches too large",
-    "not_arrow": "damaged batches",
-    "compressed": "compressed batches",
-    "too_many_samples": "batches of too many rows",
-    "empty_list": "empty batches",
-    "wrong_type": "batches with a column missing or of a wrong type",
-}
-"""Cause for which a batch cannot be used at all -> how it is counted."""
-_UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 class MessageRewriter:

@@ -26,6 +26,14 @@ SHARE: Final = 0.02
 """Goal for the share of one processor core. [1]"""
 WARM_UP: Final = 20
 """Samples of each car before the clock starts."""
+RIDES: Final = 10
+"""Rides of a car per day, and as many idle periods."""
+NOTES: Final = 60
+"""Noted forecasts of a shift of ten hours."""
+AT_ONCE: Final = 10
+"""Rides that end within one block of samples."""
+KEEP_S: Final = 30.0
+"""Time between two snapshots in service. [s]"""
 
 
 class Stopwatch:
@@ -109,16 +117,6 @@ def push_rounds(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
         for block in cut_blocks(turn):
             forecasts += sum(b'"soc_end_of_shift_pct":{' in message.payload for message in pipeline.push(block))
     return forecasts
-
-
-RIDES: Final = 10
-"""Rides of a car per day, and as many idle periods."""
-NOTES: Final = 60
-"""Noted forecasts of a shift of ten hours."""
-AT_ONCE: Final = 10
-"""Rides that end within one block of samples."""
-KEEP_S: Final = 30.0
-"""Time between two snapshots in service. [s]"""
 
 
 def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:

@@ -37,6 +37,10 @@ BATCH_ROWS: Final = 1000
 LONGEST_WARM_UP_S: Final = 300.0
 SETTLE_S = 2.0
 """Time for the consequences of the warm-up, such as declaring the keys of forecasts, to finish. [s]"""
+WAYS: Final = "plain", "certificates", "rules"
+"""Plain TCP; mutual TLS; mutual TLS with access control."""
+FLEET: Final = 1000
+"""Number of cars that the rules know; only some of them publish."""
 
 
 class Cost(NamedTuple):
@@ -222,12 +226,6 @@ def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Mea
         "The steps over arrays, the filters and the forecasts take three quarters of the time of a batch in the "
         "pipeline, and they are the same for both.",
     )
-
-
-WAYS: Final = "plain", "certificates", "rules"
-"""Plain TCP; mutual TLS; mutual TLS with access control."""
-FLEET: Final = 1000
-"""Number of cars that the rules know; only some of them publish."""
 
 
 def connect(way: str, folder: SecureFolder, cars: int) -> tuple[Connection, list[Connection]]:

@@ -39,6 +39,20 @@ from socast.tools.terminal.ride_source import ROW_GROUP
 
 START_S = 1_767_600_000.0
 PERIOD_S = 3.0
+BARE = ("-c", "pass")
+"""What the interpreter is started with for comparison."""
+REPEATS = 7
+MANY, FEW = 200_000, 20_000
+RECIPE: Final = "hybrid_interactions"
+NOISE: Final = 0.02
+FIT: Final = """
+import sys
+from socast.core.fit.recipes import RECIPES
+for path in sys.argv[1:]:
+    RECIPES[{recipe!r}].fit_parquet(path)
+    status = open("/proc/self/status").read()
+    print(status.partition("VmHWM:")[2].split()[0])
+"""
 
 
 def name_car(car: int) -> str:
@@ -96,11 +110,6 @@ def make_rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[li
             )
             messages.append(Message(f"fleet/{name}/telemetry", encode(sample), int(now * 1e9)))
         yield messages
-
-
-BARE = ("-c", "pass")
-"""What the interpreter is started with for comparison."""
-REPEATS = 7
 
 
 @dataclass(frozen=True)
@@ -304,20 +313,6 @@ def measure_start(words: str, goal: float, bound: str) -> Measure:
 def _run(*arguments: str) -> None:
     """Run the interpreter to its end, without its output."""
     subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)  # noqa: S603 - our own command
-
-
-MANY, FEW = 200_000, 20_000
-RECIPE: Final = "hybrid_interactions"
-NOISE: Final = 0.02
-
-FIT: Final = """
-import sys
-from socast.core.fit.recipes import RECIPES
-for path in sys.argv[1:]:
-    RECIPES[{recipe!r}].fit_parquet(path)
-    status = open("/proc/self/status").read()
-    print(status.partition("VmHWM:")[2].split()[0])
-"""
 
 
 def measure_fit(repeats: int = 3) -> Measure:

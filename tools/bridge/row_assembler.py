@@ -30,6 +30,26 @@ FALSE: Final = frozenset({"no", "false", "off", "0"})
 """Words for false, in small letters."""
 FLAGS: Final = frozenset({"charging", FIX})
 """Fields that are true or false."""
+LARGEST: Final = 1e12
+"""Largest value of a signal; larger ones, infinity and NaN are no values."""
+PERIOD_S: Final = 1.0
+"""Default time that a row covers. [s]"""
+HOLD_S: Final = 1500.0
+"""Default time for which a signal without news is held: OVMS modules repeat all metrics after 1200 s. [s]"""
+PREFER_S: Final = 600.0
+"""Time for which the other sources of a field are ignored after its preferred one. [s]"""
+FORGET_S: Final = 7 * 86400.0
+"""Silence after which a car is forgotten. [s]"""
+MOST_VEHICLES: Final = 100_000
+"""Largest number of cars that are known at a time."""
+EARLIEST_S: Final = 978_307_200.0
+"""Earliest credible time of a car, 1 January 2001; clocks that were never set show earlier ones. [Unix s]"""
+LATEST_S: Final = 4_102_444_800.0
+"""Latest credible time of a car, 1 January 2100. [Unix s]"""
+POSITION: Final = "latitude_deg", "longitude_deg"
+"""Fields of which one that did not change is held beside news of the other."""
+FAST: Final = "speed_kmh"
+"""A field that changes fast."""
 
 
 class Signal(NamedTuple):
@@ -98,31 +118,8 @@ def parse_number(signal: Signal, value: object) -> float | None:
     return number if abs(number) < LARGEST else None
 
 
-LARGEST: Final = 1e12
-"""Largest value of a signal; larger ones, infinity and NaN are no values."""
 Signals = Mapping[str, Signal]
 """Name of a signal in its ecosystem -> what it gives."""
-
-
-PERIOD_S: Final = 1.0
-"""Default time that a row covers. [s]"""
-HOLD_S: Final = 1500.0
-"""Default time for which a signal without news is held: OVMS modules repeat all metrics after 1200 s. [s]"""
-PREFER_S: Final = 600.0
-"""Time for which the other sources of a field are ignored after its preferred one. [s]"""
-FORGET_S: Final = 7 * 86400.0
-"""Silence after which a car is forgotten. [s]"""
-MOST_VEHICLES: Final = 100_000
-"""Largest number of cars that are known at a time."""
-EARLIEST_S: Final = 978_307_200.0
-"""Earliest credible time of a car, 1 January 2001; clocks that were never set show earlier ones. [Unix s]"""
-LATEST_S: Final = 4_102_444_800.0
-"""Latest credible time of a car, 1 January 2100. [Unix s]"""
-
-POSITION: Final = "latitude_deg", "longitude_deg"
-"""Fields of which one that did not change is held beside news of the other."""
-FAST: Final = "speed_kmh"
-"""A field that changes fast."""
 
 
 class Value(NamedTuple):

@@ -26,6 +26,38 @@ LOG: Final = "log"
 UNKNOWN_COVARIANCE: Final = 0
 INFO, WARNING, ERROR = 2, 3, 4
 """Levels of a line in the log."""
+LATEST_S: Final = 2.0**32
+"""Unix time from which on a clock is not believed. [s]"""
+QUALITY_WORDS: Final = {
+    "repaired_time": (INFO, "samples with a repaired time stamp"),
+    "rejected_speed": (WARNING, "samples with a rejected speed"),
+    "duplicate": (INFO, "late or repeated samples"),
+    "gap": (WARNING, "gaps between samples"),
+    "out_of_range": (WARNING, "samples with a value out of range"),
+}
+"""Counter of `socast.core.wire.messages.QualityCounts` -> level and words of its warning."""
+LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
+"""Status of a finding -> level of its warning."""
+_LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+MOST_CARS: Final = 20
+"""Largest number of cars that have a tab."""
+BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#999999"
+"""Colours that colour-blind people distinguish."""
+PLOTS: Final = {
+    "State of charge [%]": (
+        ("telemetry.soc_pct", "displayed", GREY),
+        ("forecast.soc_pct", "filtered", BLUE),
+        ("forecast.soc_end_of_shift_pct.mean", "end of shift", ORANGE),
+        ("forecast.soc_end_of_shift_pct.p05", "end of shift, 5th percentile", ORANGE),
+        ("forecast.soc_end_of_shift_pct.p95", "end of shift, 95th percentile", ORANGE),
+    ),
+    "Energy of the ride [kWh]": (
+        ("forecast.ride_energy_predicted_kwh", "predicted", ORANGE),
+        ("forecast.ride_energy_measured_kwh", "measured", BLUE),
+    ),
+    "Speed [km/h]": (("telemetry.speed_kmh", "speed", BLUE),),
+}
+"""Title of a plot -> kind of message and field, label and colour of each line."""
 
 
 class Timestamp(msgspec.Struct, frozen=True):
@@ -147,21 +179,6 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     ),
 }
 """Last chunk of a topic -> JSON schema of its messages."""
-
-
-LATEST_S: Final = 2.0**32
-"""Unix time from which on a clock is not believed. [s]"""
-QUALITY_WORDS: Final = {
-    "repaired_time": (INFO, "samples with a repaired time stamp"),
-    "rejected_speed": (WARNING, "samples with a rejected speed"),
-    "duplicate": (INFO, "late or repeated samples"),
-    "gap": (WARNING, "gaps between samples"),
-    "out_of_range": (WARNING, "samples with a value out of range"),
-}
-"""Counter of `socast.core.wire.messages.QualityCounts` -> level and words of its warning."""
-LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
-"""Status of a finding -> level of its warning."""
-_LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 _decode_forecast = msgspec.json.Decoder(Forecast).decode
@@ -309,27 +326,6 @@ def _is_input(message: Message) -> bool:
     """Return whether a message is no forecast of an earlier run."""
     known = address(message.key)
     return known is not None and known.kind != "forecast"
-
-
-MOST_CARS: Final = 20
-"""Largest number of cars that have a tab."""
-BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#999999"
-"""Colours that colour-blind people distinguish."""
-PLOTS: Final = {
-    "State of charge [%]": (
-        ("telemetry.soc_pct", "displayed", GREY),
-        ("forecast.soc_pct", "filtered", BLUE),
-        ("forecast.soc_end_of_shift_pct.mean", "end of shift", ORANGE),
-        ("forecast.soc_end_of_shift_pct.p05", "end of shift, 5th percentile", ORANGE),
-        ("forecast.soc_end_of_shift_pct.p95", "end of shift, 95th percentile", ORANGE),
-    ),
-    "Energy of the ride [kWh]": (
-        ("forecast.ride_energy_predicted_kwh", "predicted", ORANGE),
-        ("forecast.ride_energy_measured_kwh", "measured", BLUE),
-    ),
-    "Speed [km/h]": (("telemetry.speed_kmh", "speed", BLUE),),
-}
-"""Title of a plot -> kind of message and field, label and colour of each line."""
 
 
 def make_layout(cars: Sequence[str]) -> dict[str, Any]:

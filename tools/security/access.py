@@ -28,6 +28,10 @@ WEATHER: Final = "socast weather"
 """Name of the identity that observes the weather."""
 GATEWAY: Final = "gateway "
 """Begin of the name of a gateway's identity; the blank keeps it apart from any car."""
+PORT: Final = 7447
+"""Default port of a Zenoh router."""
+LARGEST_BYTES: Final = 8_000_000
+"""Size of a payload above which the router drops it. [B]"""
 
 
 @dataclass(frozen=True)
@@ -156,12 +160,6 @@ def _make_rules(name: str, access: Access, prefix: str) -> Iterable[dict[str, An
                     "permission": "allow",
                     "key_exprs": list(of_messages),
                 }
-
-
-PORT: Final = 7447
-"""Default port of a Zenoh router."""
-LARGEST_BYTES: Final = 8_000_000
-"""Size of a payload above which the router drops it. [B]"""
 
 
 def make_router_settings(

@@ -57,6 +57,29 @@ POWER: Final = 500.0
 """Power that an exponent does not change. [W]"""
 PACE: Final = 12.0
 """Speed that the exponent of the speed does not change; half of it is the least speed that counts. [m/s]"""
+OTHER: Final = "~other"
+"""Suffix of the name of an effect that selects its other shape."""
+OTHER_SHAPES: Final[dict[str, PowerFunction]] = {}
+"""Power at natural size of each effect in its other shape. [W]"""
+GUSTS: Final = 1.2
+"""Effective wind speed of gusty wind divided by the mean wind speed, with respect to drag. [1]"""
+ROOM_TEMPERATURE: Final = 20.0
+"""Temperature at which the drag of air equals that of the base. [°C]"""
+REYNOLDS: Final = 0.1
+"""Exponent by which the drag coefficient falls with Reynolds number. [1]"""
+RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
+        "humidity": ("humidity", "demisting"),
+    }
+)
+"""Right names where the library has another name for a cause than the simulator, or several names.
+
+`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
+effect that grows with the square of the power, one with the square of the force and one with that of the speed.
+Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
+The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
+"""
 
 
 def bend_shape(effect: str, number: int) -> PowerFunction:
@@ -76,18 +99,6 @@ def bend_shape(effect: str, number: int) -> PowerFunction:
         return np.asarray(apply_lag(out, lag) * view.trace.on if lag else out)
 
     return bent
-
-
-OTHER: Final = "~other"
-"""Suffix of the name of an effect that selects its other shape."""
-OTHER_SHAPES: Final[dict[str, PowerFunction]] = {}
-"""Power at natural size of each effect in its other shape. [W]"""
-GUSTS: Final = 1.2
-"""Effective wind speed of gusty wind divided by the mean wind speed, with respect to drag. [1]"""
-ROOM_TEMPERATURE: Final = 20.0
-"""Temperature at which the drag of air equals that of the base. [°C]"""
-REYNOLDS: Final = 0.1
-"""Exponent by which the drag coefficient falls with Reynolds number. [1]"""
 
 
 def register_other_shape(function: PowerFunction) -> PowerFunction:
@@ -301,21 +312,6 @@ def get_power(effect: str) -> PowerFunction:
 def strip_shape(effect: str) -> str:
     """Return the name of an effect without its shape."""
     return effect.partition(BENT)[0].removesuffix(OTHER)
-
-
-RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
-        "humidity": ("humidity", "demisting"),
-    }
-)
-"""Right names where the library has another name for a cause than the simulator, or several names.
-
-`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
-effect that grows with the square of the power, one with the square of the force and one with that of the speed.
-Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
-The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
-"""
 
 
 def get_right_names(effect: str) -> tuple[str, ...]:

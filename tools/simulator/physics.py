@@ -38,6 +38,49 @@ GLASS: Final = 165.0, 200.0
 """Slope and ideal glass temperature of the electrolyte. [K]"""
 RUBBER: Final = 60.0
 """Cooling of a tyre by which its resistance grows by a factor of e. [K]"""
+WHEEL: Final = (
+    "rolling",
+    "speed_rolling",
+    "cold_rolling",
+    "wet_road",
+    "snow",
+    "tyre_pressure",
+    "winter_tyres",
+    "climbing",
+    "inertia",
+    "payload",
+    "drag",
+    "air_density",
+    "headwind",
+    "cornering",
+    "brake_drag",
+)
+"""Parts of the road load at the wheels. [W]"""
+PARTS: Final = (
+    *WHEEL,
+    "powertrain_losses",
+    "friction_brakes",
+    "electronics",
+    "night_lights",
+    "cabin_heating",
+    "cabin_cooling",
+    "drying",
+    "battery_heating",
+    "hidden",
+    "charger",
+)
+"""Parts of the power at the terminals of the battery. Losses inside the battery are not among them. [W]"""
+(ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, WINTER_TYRES, CLIMBING, INERTIA, PAYLOAD, DRAG,
+ AIR_DENSITY, HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING,
+ BATTERY_HEATING, HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
+ROTATING: Final = 1.04
+"""Effective mass with the inertia of rotating parts, divided by the mass. [1]"""
+PERSON: Final = 75.0
+"""Mass of a person. [kg]"""
+LOWEST_SPEED: Final = 1.5
+"""Speed below which there is no regeneration. [m/s]"""
+COMFORT: Final = (20.5, 23.0)
+"""Temperatures below which the cabin is heated and above which it is cooled. [°C]"""
 
 
 @njit(cache=False)
@@ -87,51 +130,6 @@ def compute_resistance_ratio(pack: float, soc: float) -> float:
 def compute_cold_yield(pack: float) -> float:
     """Return the share of its energy that a battery gives at a temperature. [1]"""
     return float(1.0 - 0.11 * (1.0 - np.tanh((pack + 22.0) / 24.0)))
-
-
-WHEEL: Final = (
-    "rolling",
-    "speed_rolling",
-    "cold_rolling",
-    "wet_road",
-    "snow",
-    "tyre_pressure",
-    "winter_tyres",
-    "climbing",
-    "inertia",
-    "payload",
-    "drag",
-    "air_density",
-    "headwind",
-    "cornering",
-    "brake_drag",
-)
-"""Parts of the road load at the wheels. [W]"""
-PARTS: Final = (
-    *WHEEL,
-    "powertrain_losses",
-    "friction_brakes",
-    "electronics",
-    "night_lights",
-    "cabin_heating",
-    "cabin_cooling",
-    "drying",
-    "battery_heating",
-    "hidden",
-    "charger",
-)
-"""Parts of the power at the terminals of the battery. Losses inside the battery are not among them. [W]"""
-(ROLLING, SPEED_ROLLING, COLD_ROLLING, WET_ROAD, SNOW, TYRE_PRESSURE, WINTER_TYRES, CLIMBING, INERTIA, PAYLOAD, DRAG,
- AIR_DENSITY, HEADWIND, CORNERING, BRAKE_DRAG, LOSSES, BRAKES, ELECTRONICS, LIGHTS, HEATING, COOLING, DRYING,
- BATTERY_HEATING, HIDDEN, CHARGING) = range(len(PARTS))  # fmt: skip
-ROTATING: Final = 1.04
-"""Effective mass with the inertia of rotating parts, divided by the mass. [1]"""
-PERSON: Final = 75.0
-"""Mass of a person. [kg]"""
-LOWEST_SPEED: Final = 1.5
-"""Speed below which there is no regeneration. [m/s]"""
-COMFORT: Final = (20.5, 23.0)
-"""Temperatures below which the cabin is heated and above which it is cooled. [°C]"""
 
 
 class State(NamedTuple):

@@ -37,6 +37,30 @@ _OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "model3": {"type": Path, "help": "folder with the drives of the Tesla Model 3"},
 }
 """Options that several measurements have."""
+_BLOCK: Final = re.compile(r"<!-- (?P<name>[a-z-]+) begins -->\n(?P<body>.*?)<!-- (?P=name) ends -->", re.DOTALL)
+RESULTS: Final = "results"
+"""Name of the block."""
+ROWS: Final = (
+    ("error of the energy of rides (wMAPE)", "evaluation", "wmape", "wmape_on"),
+    ("the same on real drives", "real-drives", "wmape", "wmape_on"),
+    ("the same of drives of a Tesla Model 3 (MAPE)", "real-cars", "error", "error_on"),
+    ("error below baselines", "evaluation", "below", "below_on"),
+    ("90 % prediction intervals of rides", "evaluation", "inside", "inside_on"),
+    ("state of charge at the end of the shift, 2 h ahead", "soc-forecasts", "error", "error_on"),
+    ("hidden effect named first", "hidden-effects", "right", "right_on"),
+    ("another effect named first", "hidden-effects", "wrong", "wrong_on"),
+    ("names given with 90 % or more", "hidden-effects", "sure", "sure_on"),
+    (
+        "hidden effect that the library lacks: another named with 90 % or more",
+        "hidden-effects",
+        "outside",
+        "outside_on",
+    ),
+    ("known effect in real cars named", "real-cars", "named", "named_on"),
+    ("one car that began to use 6 % more", "siblings", "found", "found_on"),
+    ("drives of faulty loggers that are fit for training and wrong", "league", "wrong", "wrong_on"),
+)
+"""Result, measurement, and the names of its figure and of what it was measured on."""
 
 
 def make_parser(name: str, about: str | None, **options: Any) -> argparse.ArgumentParser:
@@ -128,31 +152,6 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], 
 ROOT: Final = Path(__file__).resolve().parents[3]
 KEPT: Final = ROOT / "docs" / "figures.json"
 """File that keeps the published figures."""
-_BLOCK: Final = re.compile(r"<!-- (?P<name>[a-z-]+) begins -->\n(?P<body>.*?)<!-- (?P=name) ends -->", re.DOTALL)
-
-RESULTS: Final = "results"
-"""Name of the block."""
-ROWS: Final = (
-    ("error of the energy of rides (wMAPE)", "evaluation", "wmape", "wmape_on"),
-    ("the same on real drives", "real-drives", "wmape", "wmape_on"),
-    ("the same of drives of a Tesla Model 3 (MAPE)", "real-cars", "error", "error_on"),
-    ("error below baselines", "evaluation", "below", "below_on"),
-    ("90 % prediction intervals of rides", "evaluation", "inside", "inside_on"),
-    ("state of charge at the end of the shift, 2 h ahead", "soc-forecasts", "error", "error_on"),
-    ("hidden effect named first", "hidden-effects", "right", "right_on"),
-    ("another effect named first", "hidden-effects", "wrong", "wrong_on"),
-    ("names given with 90 % or more", "hidden-effects", "sure", "sure_on"),
-    (
-        "hidden effect that the library lacks: another named with 90 % or more",
-        "hidden-effects",
-        "outside",
-        "outside_on",
-    ),
-    ("known effect in real cars named", "real-cars", "named", "named_on"),
-    ("one car that began to use 6 % more", "siblings", "found", "found_on"),
-    ("drives of faulty loggers that are fit for training and wrong", "league", "wrong", "wrong_on"),
-)
-"""Result, measurement, and the names of its figure and of what it was measured on."""
 
 
 class Published(msgspec.Struct, frozen=True):

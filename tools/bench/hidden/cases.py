@@ -29,6 +29,32 @@ Weather = Literal["none", "noisy"]
 
 BARE: Final = frozenset({"cabin_heating", "cabin_cooling"})
 """Effects that need cars without climate control and a model with constant auxiliaries as a base."""
+SHARES: Final = (0.0075, 0.015, 0.03, 0.06)
+SEEDS: Final = 10
+NONE_SEEDS: Final = 25
+"""Number of seeds of data sets without hidden effects, with four data sets each."""
+FRESH: Final = 1000
+"""First seed of data sets without hidden effects; no other part uses their drives."""
+PAIRS: Final = 6
+"""Number of pairs of effects for each seed."""
+PAIR_SHARE: Final = 0.03
+"""Share of the energy of each of two effects. [1]"""
+SHAPES: Final = ("first", "other", "bent")
+"""Shapes of the hidden effects. Constants of diagnosis are chosen on `first` and `bent` only."""
+OUTSIDE_SHARES: Final = (0.03, 0.06)
+ABSORBED: Final = MappingProxyType(
+    {
+        "tyre_pressure": "a larger rolling resistance of each car, which the base fits",
+        "brake_drag": "a constant force, such as rolling resistance",
+        "roof_load": "a larger drag area of each car, which the base fits",
+        "standby": "a constant power, such as that of accessories",
+        "age": "a share of the driving power that each car has for good, which the base fits as the scale of its terms",
+    }
+)
+"""Effects with the shape of columns of the base, and these columns; they leave no error if they are everywhere.
+
+They are visible only where they change: in one vehicle from a date on, or in all vehicles from a date on.
+"""
 
 
 @dataclass(frozen=True)
@@ -95,34 +121,6 @@ class SeedData:
             self._last = key, self.drives.measured(case.hidden, case.where, phenomena)
         names = [effect for effect, _ in case.hidden]
         return self.recording(case.weather).tables(self._last[1], case.measurement, names)
-
-
-SHARES: Final = (0.0075, 0.015, 0.03, 0.06)
-SEEDS: Final = 10
-NONE_SEEDS: Final = 25
-"""Number of seeds of data sets without hidden effects, with four data sets each."""
-FRESH: Final = 1000
-"""First seed of data sets without hidden effects; no other part uses their drives."""
-PAIRS: Final = 6
-"""Number of pairs of effects for each seed."""
-PAIR_SHARE: Final = 0.03
-"""Share of the energy of each of two effects. [1]"""
-SHAPES: Final = ("first", "other", "bent")
-"""Shapes of the hidden effects. Constants of diagnosis are chosen on `first` and `bent` only."""
-OUTSIDE_SHARES: Final = (0.03, 0.06)
-ABSORBED: Final = MappingProxyType(
-    {
-        "tyre_pressure": "a larger rolling resistance of each car, which the base fits",
-        "brake_drag": "a constant force, such as rolling resistance",
-        "roof_load": "a larger drag area of each car, which the base fits",
-        "standby": "a constant power, such as that of accessories",
-        "age": "a share of the driving power that each car has for good, which the base fits as the scale of its terms",
-    }
-)
-"""Effects with the shape of columns of the base, and these columns; they leave no error if they are everywhere.
-
-They are visible only where they change: in one vehicle from a date on, or in all vehicles from a date on.
-"""
 
 
 @dataclass(frozen=True)

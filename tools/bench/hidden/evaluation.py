@@ -35,6 +35,16 @@ Record = dict[str, Any]
 
 LIKELY: Final = 0.5
 """Probability from which on a name counts as a claim. [1]"""
+RATIO: Final = 20.0
+"""Likelihood ratio from which on the true energy of an effect is distinct from every other effect."""
+LARGEST_SHARE: Final = 0.999
+"""Largest share of a vehicle-day in a sum from which it is left out. [1]"""
+FOLDS: Final = 5
+HEATING: Final = 18.0
+COOLING: Final = 21.0
+"""Temperatures below which accessories heat and above which they cool. [°C]"""
+RANK: Final = 1e-9
+"""Relative size of singular values that count as zero. [1]"""
 
 
 def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
@@ -78,12 +88,6 @@ def list_truths(case: Case) -> list[tuple[str, ...]]:
     """Return the right names of each hidden effect; `none` where no effect of the library is missing."""
     names = [get_right_names(effect) for effect, _ in case.hidden]
     return [(NONE,) if set(each) <= set(case.without) else each for each in names] or [(NONE,)]
-
-
-RATIO: Final = 20.0
-"""Likelihood ratio from which on the true energy of an effect is distinct from every other effect."""
-LARGEST_SHARE: Final = 0.999
-"""Largest share of a vehicle-day in a sum from which it is left out. [1]"""
 
 
 def measure_visibility(case: Case, base: BaseProjection, candidates: Candidates, hidden: Floats) -> dict[str, Any]:
@@ -177,13 +181,6 @@ def project_products(base: BaseProjection, columns: list[list[str]]) -> Floats:
 
 
 Diagnose = Callable[..., dict[str, Any]]
-
-FOLDS: Final = 5
-HEATING: Final = 18.0
-COOLING: Final = 21.0
-"""Temperatures below which accessories heat and above which they cool. [°C]"""
-RANK: Final = 1e-9
-"""Relative size of singular values that count as zero. [1]"""
 
 
 def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:

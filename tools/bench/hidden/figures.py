@@ -24,6 +24,14 @@ LEFT, RIGHT, TOP, BOTTOM = 80, 440, 50, 380
 """Edges of the plot. [px]"""
 INK, QUIET, GRID, POINT = "#1f2933", "#5f6b76", "#c9d1d9", "#1f6fb2"
 TICKS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+LEAST: Final = {"vi": 0.015, "soc": 0.03}
+"""Share of the energy from which on diagnosis should name an effect. [1]"""
+SURE: Final = 0.9
+"""Probability from which on a name is given as sure. [1]"""
+LEAST_WAY: Final = 0.03
+"""Share of the error that knowing the truth must remove for the way there to be judged. [1]"""
+JUDGED: Final = ("one", "two", "none", "outside")
+"""Parts on which probabilities are judged."""
 
 
 class Bin(NamedTuple):
@@ -164,16 +172,6 @@ def _across(probability: float) -> float:
 def _down(share: float) -> float:
     """Return the vertical place of a share. [px]"""
     return BOTTOM - (BOTTOM - TOP) * share
-
-
-LEAST: Final = {"vi": 0.015, "soc": 0.03}
-"""Share of the energy from which on diagnosis should name an effect. [1]"""
-SURE: Final = 0.9
-"""Probability from which on a name is given as sure. [1]"""
-LEAST_WAY: Final = 0.03
-"""Share of the error that knowing the truth must remove for the way there to be judged. [1]"""
-JUDGED: Final = ("one", "two", "none", "outside")
-"""Parts on which probabilities are judged."""
 
 
 class Figure(NamedTuple):

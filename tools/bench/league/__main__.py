@@ -27,6 +27,10 @@ from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Ve
 
 REASONS: Final = 3
 """Number of reasons that are named in a line."""
+REPLAYED = 12
+"""Number of cars whose stream is cut at random."""
+PAIRS = 20
+"""Number of pairs that are shown."""
 
 
 class Line(NamedTuple):
@@ -136,12 +140,6 @@ def list_values(verdicts: Sequence[Verdict]) -> dict[str, str]:
 def list_cells(line: Line) -> list[str]:
     """Return the cells of a row after its name."""
     return [str(line.drives), *show_shares(line), show_reasons(line)]
-
-
-REPLAYED = 12
-"""Number of cars whose stream is cut at random."""
-PAIRS = 20
-"""Number of pairs that are shown."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -37,6 +37,28 @@ FIELDS: Final = (
 """Fields of a sample with their formats, in the order of `Log.columns`."""
 FIRST_LABEL: Final = 10
 """Battery temperature of the first drive [degC]; with the number of people, it names the drive of a sample."""
+SENDS: Final = {
+    "speed": ("speed_kmh",),
+    "position": ("latitude_deg", "longitude_deg", "elevation_m"),
+    "odometer": ("odometer_km",),
+    "power": ("battery_voltage_v", "battery_current_a"),
+    "soc": ("soc_pct",),
+}
+"""Fields of what a car may send."""
+VALUES, SAMPLES, CLOCK, ORDER = range(4)
+"""Stages in which faults act: on values, on which samples there are, on stamps, on the order of arrival."""
+CAUSES: Final = {
+    "clock": (
+        *("gap", "clock", "time", "stamp", "counter", "sequence", "pause", "too_long", "too_short", "missing"),
+        *("distance", "speed"),
+    ),
+    "speed": ("speed", "distance", "odometer", "bridge", "too_long"),
+    "position": ("position", "fix", "distance", "speed", "slope", "bridge"),
+    "odometer": ("odometer", "distance", "speed"),
+    "current": ("current", "power", "energy", "meter", "contradictory"),
+    "charge": ("soc", "charg", "energy", "capacity", "contradictory", "too_long"),
+}
+"""Words of the reasons that name each family of faults."""
 
 
 @dataclass
@@ -178,16 +200,6 @@ def sample(rng: np.random.Generator, car: Car) -> Log:
     return log
 
 
-SENDS: Final = {
-    "speed": ("speed_kmh",),
-    "position": ("latitude_deg", "longitude_deg", "elevation_m"),
-    "odometer": ("odometer_km",),
-    "power": ("battery_voltage_v", "battery_current_a"),
-    "soc": ("soc_pct",),
-}
-"""Fields of what a car may send."""
-
-
 def blank(log: Log, fields: tuple[str, ...], rows: Any = slice(None)) -> None:
     """Send null for some fields."""
     for name in fields:
@@ -239,22 +251,6 @@ def write_messages(log: Log) -> list[Message]:
 def _name_flags(values: Floats) -> list[str]:
     """Return flags as JSON."""
     return ["null" if value != value else "true" if value else "false" for value in values.tolist()]  # noqa: PLR0124
-
-
-VALUES, SAMPLES, CLOCK, ORDER = range(4)
-"""Stages in which faults act: on values, on which samples there are, on stamps, on the order of arrival."""
-CAUSES: Final = {
-    "clock": (
-        *("gap", "clock", "time", "stamp", "counter", "sequence", "pause", "too_long", "too_short", "missing"),
-        *("distance", "speed"),
-    ),
-    "speed": ("speed", "distance", "odometer", "bridge", "too_long"),
-    "position": ("position", "fix", "distance", "speed", "slope", "bridge"),
-    "odometer": ("odometer", "distance", "speed"),
-    "current": ("current", "power", "energy", "meter", "contradictory"),
-    "charge": ("soc", "charg", "energy", "capacity", "contradictory", "too_long"),
-}
-"""Words of the reasons that name each family of faults."""
 
 
 Apply = Callable[[Log, np.random.Generator], None]

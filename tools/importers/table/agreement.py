@@ -45,6 +45,24 @@ REST: Final = (80.0, 8000.0)
 """Powers of the accessories of a car. [W]"""
 
 Sign = Literal[-1, 0, 1]
+MOST_NAMED: Final = 5
+"""Cars that are named in one line."""
+USED: Final = (0.05, 1.0)
+"""Consumptions of road vehicles. [kWh/km]"""
+REGAINED: Final = -0.5
+"""Energy per distance that a descent may regain. [kWh/km]"""
+SPARSE: Final = 15.0
+"""Time between rows from which the speed shows distances only roughly. [s]"""
+NEARLY: Final = 1.35
+"""Ratio of two distances that such rows explain. [1]"""
+NIGHT: Final = 0.5
+"""Largest share of the driving from 0 to 5 h of solar time. [1]"""
+ASSUMED_NIGHT: Final = 0.1
+"""The same where times without a zone were read as UTC, and local time would at least halve it. [1]"""
+SUN: Final = "clock against sun"
+"""Name of the check of the hours of driving, which needs no order of rows."""
+INVERT: Final = "invert the sign of the current or the power in [fields]"
+"""Remedy where the sign of all cars is wrong."""
 
 
 class SignEvidence(NamedTuple):
@@ -179,26 +197,6 @@ def _hear_mean(car: CarSums) -> Sign:
     if energy > 0.0:
         return 1
     return -1 if -energy > weight * DEEPEST else 0
-
-
-MOST_NAMED: Final = 5
-"""Cars that are named in one line."""
-USED: Final = (0.05, 1.0)
-"""Consumptions of road vehicles. [kWh/km]"""
-REGAINED: Final = -0.5
-"""Energy per distance that a descent may regain. [kWh/km]"""
-SPARSE: Final = 15.0
-"""Time between rows from which the speed shows distances only roughly. [s]"""
-NEARLY: Final = 1.35
-"""Ratio of two distances that such rows explain. [1]"""
-NIGHT: Final = 0.5
-"""Largest share of the driving from 0 to 5 h of solar time. [1]"""
-ASSUMED_NIGHT: Final = 0.1
-"""The same where times without a zone were read as UTC, and local time would at least halve it. [1]"""
-SUN: Final = "clock against sun"
-"""Name of the check of the hours of driving, which needs no order of rows."""
-INVERT: Final = "invert the sign of the current or the power in [fields]"
-"""Remedy where the sign of all cars is wrong."""
 
 
 class Check(NamedTuple):

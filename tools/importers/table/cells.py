@@ -22,6 +22,24 @@ _BLANKS: Final = " \u00a0\u202f'’"
 """Marks that divide thousands and nothing else."""
 _VALUE: Final = re.compile(r"[+-]?\d+([.,]\d+)?|\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([ T].*)?")
 """A number or a date, with which no header is filled."""
+MOST_ABOVE: Final = 50
+"""Lines among which the header is looked for."""
+_OTHER_UNIT: Final = re.compile(
+    r"[mun]?s|min|h|d|sec(onds)?|date|time|hh:mm:ss|yyyy-mm-dd|unix|utc|n/?a|nm|rpm|k?pa|psi|bar|hz|g|l|k?wh",
+    re.IGNORECASE,
+)
+"""Unit of a column that is no field, as it stands in a row below the header."""
+_MEASURED: Final = (
+    "speed_kmh",
+    "odometer_km",
+    "soc_pct",
+    "battery_voltage_v",
+    "battery_current_a",
+    "hvac_w",
+    "ambient_c",
+)
+"""Fields whose units are looked for in a row of units."""
+SEPARATORS: Final = (",", ";", "\t", "|")
 
 
 def to_bools(array: pa.Array) -> Bools:
@@ -122,26 +140,6 @@ def suggest_decimal(text: str, decimal: str) -> str:
         return ""
     may_divide = is_grouped(text, decimal, is_sure=False)
     return "; set decimal = ',' in [file]" + (", or export without thousands separators" if may_divide else "")
-
-
-MOST_ABOVE: Final = 50
-"""Lines among which the header is looked for."""
-_OTHER_UNIT: Final = re.compile(
-    r"[mun]?s|min|h|d|sec(onds)?|date|time|hh:mm:ss|yyyy-mm-dd|unix|utc|n/?a|nm|rpm|k?pa|psi|bar|hz|g|l|k?wh",
-    re.IGNORECASE,
-)
-"""Unit of a column that is no field, as it stands in a row below the header."""
-_MEASURED: Final = (
-    "speed_kmh",
-    "odometer_km",
-    "soc_pct",
-    "battery_voltage_v",
-    "battery_current_a",
-    "hvac_w",
-    "ambient_c",
-)
-"""Fields whose units are looked for in a row of units."""
-SEPARATORS: Final = (",", ";", "\t", "|")
 
 
 def find_header(lines: Sequence[str]) -> int:

@@ -27,6 +27,40 @@ STEADY: Final = 0.9
 """Share of the steps of a count that are larger than 0. [1]"""
 CLOCK_RATE: Final = "clock against rows"
 """Name of the check that the times of rows are far enough apart."""
+UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
+"""Units that are told from each other by far."""
+TICKS: Final = ("0.1 s", "10 ms")
+"""Units that are told only by a distance in known units."""
+LEAST_DISTANCE: Final = 300.0
+"""Distance from which the unit of a clock is judged. [m]"""
+LEAST_GROWTHS: Final = 3
+"""Changes of an odometer from which a distance is known."""
+NEAR_TICK: Final = 0.1
+"""Largest logarithm of the ratio of the distance in ticks to the right one."""
+FAR: Final = 2.5
+"""Logarithm of a ratio of distances from which the unit in a name is doubted."""
+USUAL_ACCELERATION: Final = 2.0
+"""Acceleration that one of 100 steps of a drive has, about. [m/s^2]"""
+LEAST_STEPS: Final = 20
+"""Changes of speed from which accelerations are judged."""
+LONGEST_GAP: Final = 20.0
+"""Longest step over which speed is integrated, in usual steps."""
+USUAL_PERIODS: Final = (0.005, 120.0)
+"""Times between two rows of a logger. [s]"""
+CLOCK_TOLERANCE: Final = 300.0
+"""Time by which a row may be later than the last change of its file. [s]"""
+MOST_FILES: Final = 6
+"""Number of files that a check names."""
+UNIT: Final = "unit of the clock"
+OVERLAP: Final = "times of rows"
+"""Name of the check that no time is covered twice."""
+_SPANS: Final = (
+    (730.0 * 86400.0, 365.25 * 86400.0, "years"),
+    (2.0 * 86400.0, 86400.0, "days"),
+    (7200.0, 3600.0, "h"),
+    (120.0, 60.0, "min"),
+)
+"""Time from which a unit is used, the unit, and its name. [s]"""
 
 
 class ClockRate:
@@ -104,28 +138,6 @@ def sum_close_steps(times: Floats) -> float:
     """Return the time between rows that lie close together. [s]"""
     steps = np.diff(np.sort(times))
     return float(steps[steps <= LONGEST_STEP].sum())
-
-
-UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
-"""Units that are told from each other by far."""
-TICKS: Final = ("0.1 s", "10 ms")
-"""Units that are told only by a distance in known units."""
-LEAST_DISTANCE: Final = 300.0
-"""Distance from which the unit of a clock is judged. [m]"""
-LEAST_GROWTHS: Final = 3
-"""Changes of an odometer from which a distance is known."""
-NEAR_TICK: Final = 0.1
-"""Largest logarithm of the ratio of the distance in ticks to the right one."""
-FAR: Final = 2.5
-"""Logarithm of a ratio of distances from which the unit in a name is doubted."""
-USUAL_ACCELERATION: Final = 2.0
-"""Acceleration that one of 100 steps of a drive has, about. [m/s^2]"""
-LEAST_STEPS: Final = 20
-"""Changes of speed from which accelerations are judged."""
-LONGEST_GAP: Final = 20.0
-"""Longest step over which speed is integrated, in usual steps."""
-USUAL_PERIODS: Final = (0.005, 120.0)
-"""Times between two rows of a logger. [s]"""
 
 
 def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[str, str | None]) -> tuple[str, str]:
@@ -244,22 +256,6 @@ def find_nearest(ratio: float, units: Sequence[str] = UNITS) -> str:
     seconds = {unit: find_time_unit(unit) or 1.0 for unit in units}
     exact = [unit for unit in TICKS if unit in seconds and abs(np.log(ratio / seconds[unit])) < NEAR_TICK]
     return exact[0] if exact else min(UNITS, key=lambda unit: abs(np.log(ratio / seconds[unit])))
-
-
-CLOCK_TOLERANCE: Final = 300.0
-"""Time by which a row may be later than the last change of its file. [s]"""
-MOST_FILES: Final = 6
-"""Number of files that a check names."""
-UNIT: Final = "unit of the clock"
-OVERLAP: Final = "times of rows"
-"""Name of the check that no time is covered twice."""
-_SPANS: Final = (
-    (730.0 * 86400.0, 365.25 * 86400.0, "years"),
-    (2.0 * 86400.0, 86400.0, "days"),
-    (7200.0, 3600.0, "h"),
-    (120.0, 60.0, "min"),
-)
-"""Time from which a unit is used, the unit, and its name. [s]"""
 
 
 def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:

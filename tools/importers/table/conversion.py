@@ -31,6 +31,15 @@ from socast.tools.importers.table.text_stream import SkippedFiles
 from socast.tools.importers.table.units import has_power
 from socast.tools.importers.table.weather_file import StationMessages, SunWitness, WeatherFile
 
+MOST_CARS: Final = MOST_CHANNELS // 3
+"""Largest number of cars in one recording, with three keys each."""
+LONGEST_STEP: Final = 900.0
+"""Longest time between two rows of a parked car that is filled. [s]"""
+STEP: Final = 60.0
+"""Time between added rows: the longest one of a logger without a period. [s]"""
+MOVED: Final = 0.1
+"""Distance by the odometer from which a car did not stay where it was. [km]"""
+
 
 class ImportSummary(NamedTuple):
     """Hold the summary of an import.
@@ -120,17 +129,6 @@ def _describe(check: Check) -> str:
     if check.passed:
         return f"agrees: {check.name}: {check.found} (limit: {check.limit})"
     return f"does not agree: {check.name}: {check.found} (limit: {check.limit}); {check.remedy}"
-
-
-MOST_CARS: Final = MOST_CHANNELS // 3
-"""Largest number of cars in one recording, with three keys each."""
-
-LONGEST_STEP: Final = 900.0
-"""Longest time between two rows of a parked car that is filled. [s]"""
-STEP: Final = 60.0
-"""Time between added rows: the longest one of a logger without a period. [s]"""
-MOVED: Final = 0.1
-"""Distance by the odometer from which a car did not stay where it was. [km]"""
 
 
 def open_tables(

@@ -42,6 +42,12 @@ APART: Final = 30 * 86400.0
 COUNTS_FROM: Final = 1.7e9
 MOST_COUNTED: Final = 1e9
 """Time of the number 0 of clocks that count from 0, and their span, before their unit is known. [s]"""
+MOST_LEFT_OUT: Final = 40
+"""Columns that are not read and are listed in a map."""
+RIDES: Final = "stops, charging and gaps end rides"
+"""How rides are found where no column names them."""
+MOST_NAMED: Final = 8
+"""Columns that are not read and are named on the terminal."""
 
 
 def guess_map(
@@ -171,15 +177,6 @@ def _place_counts(parts: list[np.ndarray], scale: float, time: GuessedTime, fiel
     for number, part in enumerate(parts):  # so that no files overlap
         part["time"] = COUNTS_FROM + part["time"] * (find_time_unit(unit) or 1.0) + number * APART
     return time._replace(unit=unit, reason=f"{time.reason}; {reason}")
-
-
-MOST_LEFT_OUT: Final = 40
-"""Columns that are not read and are listed in a map."""
-
-RIDES: Final = "stops, charging and gaps end rides"
-"""How rides are found where no column names them."""
-MOST_NAMED: Final = 8
-"""Columns that are not read and are named on the terminal."""
 
 
 def write_map_text(guessed: GuessedMap, table: TableFile) -> str:

@@ -40,6 +40,40 @@ _WORDS: Final = {
     "energy per km": ("driving discharges the battery", "driving would charge the battery"),
 }
 """Witness of a sign -> what it says of a right sign, and of an inverted one."""
+PERIODS: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
+"""Periods that are proposed. [s]"""
+TOGETHER: Final = 0.5
+"""Share of the rows with speed that hold power, or the reverse, below which rows carry only what changed. [1]"""
+LONGEST_STEP: Final = 300.0
+"""Longest time between two values that counts as one step. [s]"""
+FAST: Final[tuple[str, ...]] = ("speed_kmh", "battery_current_a", POWER)
+"""Fields of which it matters how long a value holds."""
+LEAST_VALUES: Final = 20
+"""Values of a field from which its way of sending is learned."""
+FEW: Final = 0.03
+"""Share of values that repeat the one before up to which a field is sent on change alone. [1]"""
+HEARTBEAT: Final = 3.0
+"""Ratio of the time to a repeated value to that to a changed one from which repetitions are heartbeats. [1]"""
+LATE: Final = 1.5
+"""Heartbeats after which a value is unknown. [1]"""
+SILENT: Final = 3.0
+"""Ratio of a silence after which the values of a driving car are unknown to the longest usual one. [1]"""
+LONGEST_SILENCE: Final = 120.0
+"""Longest such silence. [s]"""
+PAUSE: Final = 10.0
+"""Time without rows from which the odometer is asked whether the car stood. [s]"""
+MOVED: Final = 0.05
+"""Distance by the odometer from which it did not. [km]"""
+MOST_MOVED: Final = 0.2
+"""Share of silences over which the car moved, of a sender on change. [1]"""
+THROTTLE: Final = 1.8
+"""Shortest time between two values of a power from which they may be too few for its energy. [s]"""
+WHOLE: Final = 0.12
+"""Deviation of a time from whole shortest times up to which it is one. [1]"""
+MOST_WHOLE: Final = 0.75
+"""Share of such times of a sender that looks in periods. [1]"""
+FEWEST_LONGER: Final = 10
+"""Times longer than the shortest one from which this is judged."""
 
 
 class Source(NamedTuple):
@@ -243,44 +277,6 @@ def _list_cars(rows: np.ndarray) -> dict[int, CarSums]:
 def _sum(rows: np.ndarray) -> dict[str, float]:
     """Return the sums of all cars."""
     return sum_cars(list(_list_cars(rows).values()))
-
-
-PERIODS: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
-"""Periods that are proposed. [s]"""
-TOGETHER: Final = 0.5
-"""Share of the rows with speed that hold power, or the reverse, below which rows carry only what changed. [1]"""
-LONGEST_STEP: Final = 300.0
-"""Longest time between two values that counts as one step. [s]"""
-FAST: Final[tuple[str, ...]] = ("speed_kmh", "battery_current_a", POWER)
-"""Fields of which it matters how long a value holds."""
-LEAST_VALUES: Final = 20
-"""Values of a field from which its way of sending is learned."""
-FEW: Final = 0.03
-"""Share of values that repeat the one before up to which a field is sent on change alone. [1]"""
-HEARTBEAT: Final = 3.0
-"""Ratio of the time to a repeated value to that to a changed one from which repetitions are heartbeats. [1]"""
-LATE: Final = 1.5
-"""Heartbeats after which a value is unknown. [1]"""
-SILENT: Final = 3.0
-"""Ratio of a silence after which the values of a driving car are unknown to the longest usual one. [1]"""
-LONGEST_SILENCE: Final = 120.0
-"""Longest such silence. [s]"""
-PAUSE: Final = 10.0
-"""Time without rows from which the odometer is asked whether the car stood. [s]"""
-MOVED: Final = 0.05
-"""Distance by the odometer from which it did not. [km]"""
-MOST_MOVED: Final = 0.2
-"""Share of silences over which the car moved, of a sender on change. [1]"""
-
-
-THROTTLE: Final = 1.8
-"""Shortest time between two values of a power from which they may be too few for its energy. [s]"""
-WHOLE: Final = 0.12
-"""Deviation of a time from whole shortest times up to which it is one. [1]"""
-MOST_WHOLE: Final = 0.75
-"""Share of such times of a sender that looks in periods. [1]"""
-FEWEST_LONGER: Final = 10
-"""Times longer than the shortest one from which this is judged."""
 
 
 class GuessedRows(NamedTuple):

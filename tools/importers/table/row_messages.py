@@ -35,6 +35,29 @@ EXPLAINED: Final = 0.9
 A meter that lags by half a step has the shares of a mean; with steps of 3 s it usually explains less."""
 SLOWEST: Final = 1.0
 """Speed above which a car drives. [m/s]"""
+BETWEEN: Final = 300.0
+"""Time between two observations of a car, which hold the means over it; a longer gap begins anew. [s]"""
+_HOUR: Final = 3600.0
+_NAMES: Final = ("latitude_deg", "longitude_deg", "ambient_c", *OF_WEATHER)
+DECIMALS: Final = 3
+"""Decimal places of an observation."""
+LONGEST_STEP: Final = 60.0
+"""Longest time between two rows that says something of their period. [s]"""
+OFF_GRID: Final = 0.25
+"""Deviation of a time between two rows from whole periods from which it is irregular. [periods]"""
+MOST_OFF_GRID: Final = 0.3
+"""Largest share of irregular times of a log with a period. [1]"""
+SAME: Final = 0.1
+"""Ratio by which two successive times between rows may differ and be the same. [1]"""
+MOST_CHANGED: Final = 0.05
+"""Largest share of times between rows that equal the one before and are not the period, of a log with one period."""
+LONGEST_PARKED: Final = 3600.0
+"""Longest time between two rows of a parked car that shows another period. [s]"""
+LONG: Final = 5.0
+"""Times between rows that are not lost rows where several equal ones follow each other. [periods]"""
+FEWEST_LONG: Final = 3
+"""Number of such times of a log that changes its period."""
+_FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
 
 
 class SpanEvidence(NamedTuple):
@@ -84,14 +107,6 @@ def measure_span(times: Floats, speed_kmh: Floats, power: Floats) -> SpanEvidenc
         return None
     left = watts[used] - columns[used] @ factors
     return SpanEvidence(float(factors[0] / (factors[0] + factors[1])), float(1.0 - left.var() / watts[used].var()))
-
-
-BETWEEN: Final = 300.0
-"""Time between two observations of a car, which hold the means over it; a longer gap begins anew. [s]"""
-_HOUR: Final = 3600.0
-_NAMES: Final = ("latitude_deg", "longitude_deg", "ambient_c", *OF_WEATHER)
-DECIMALS: Final = 3
-"""Decimal places of an observation."""
 
 
 class RowWeather:
@@ -182,25 +197,6 @@ def average_weather(rows: list[dict[str, float]]) -> dict[str, float]:
         del means["wind_from_deg"]  # a direction without a speed says nothing
     rounded = {name: round(value, DECIMALS) + 0.0 for name, value in means.items()}
     return rounded | {name: rounded[name] % 360.0 for name in ("wind_from_deg",) if name in rounded}
-
-
-LONGEST_STEP: Final = 60.0
-"""Longest time between two rows that says something of their period. [s]"""
-OFF_GRID: Final = 0.25
-"""Deviation of a time between two rows from whole periods from which it is irregular. [periods]"""
-MOST_OFF_GRID: Final = 0.3
-"""Largest share of irregular times of a log with a period. [1]"""
-SAME: Final = 0.1
-"""Ratio by which two successive times between rows may differ and be the same. [1]"""
-MOST_CHANGED: Final = 0.05
-"""Largest share of times between rows that equal the one before and are not the period, of a log with one period."""
-LONGEST_PARKED: Final = 3600.0
-"""Longest time between two rows of a parked car that shows another period. [s]"""
-LONG: Final = 5.0
-"""Times between rows that are not lost rows where several equal ones follow each other. [periods]"""
-FEWEST_LONG: Final = 3
-"""Number of such times of a log that changes its period."""
-_FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
 
 
 class RowMessages:

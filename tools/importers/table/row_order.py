@@ -18,6 +18,21 @@ WINDOW_ROWS: Final = 100_000
 
 MARKS: Final = 100
 """Marks of time per window, by which the rows of runs on disk are divided."""
+BACKWARD: Final = 60.0
+"""Step back between two rows of a file, in the order of the file, from which a new part of the file begins. [s]"""
+LEAST: Final = 60.0
+"""Time that must be covered twice; less is the end of one ride and the start of the next. [s]"""
+LEAST_SHARE: Final = 0.5
+"""Share of the shorter part that is covered twice, where this is less than `LEAST`. [1]"""
+MOST_PARTS: Final = 0.01
+"""Parts per row of a file above which its rows are in no order, and the file counts as one part. [1]"""
+COVERED_TWICE: Final = (
+    "a time that their file covers twice (its clock steps back: set zone in [time] where it is local time, or divide "
+    "the file)"
+)
+"""Cause for which rows are left out: two drives in one would be a third one that nobody drove."""
+KEY_FIELDS: Final = ("speed_kmh", POWER, "battery_current_a", "soc_pct", "odometer_km")
+"""Fields of which the first that the map has is compared: files with other fields may cover the same time."""
 
 
 def sort_rows(
@@ -87,23 +102,6 @@ def _merge(runs: list[_Run], per_window: int) -> Iterator[np.ndarray]:
         rows = _sort([run.take(bound) for run in runs])
         if len(rows):
             yield rows
-
-
-BACKWARD: Final = 60.0
-"""Step back between two rows of a file, in the order of the file, from which a new part of the file begins. [s]"""
-LEAST: Final = 60.0
-"""Time that must be covered twice; less is the end of one ride and the start of the next. [s]"""
-LEAST_SHARE: Final = 0.5
-"""Share of the shorter part that is covered twice, where this is less than `LEAST`. [1]"""
-MOST_PARTS: Final = 0.01
-"""Parts per row of a file above which its rows are in no order, and the file counts as one part. [1]"""
-COVERED_TWICE: Final = (
-    "a time that their file covers twice (its clock steps back: set zone in [time] where it is local time, or divide "
-    "the file)"
-)
-"""Cause for which rows are left out: two drives in one would be a third one that nobody drove."""
-KEY_FIELDS: Final = ("speed_kmh", POWER, "battery_current_a", "soc_pct", "odometer_km")
-"""Fields of which the first that the map has is compared: files with other fields may cover the same time."""
 
 
 class Overlap(NamedTuple):

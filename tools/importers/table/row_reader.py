@@ -31,6 +31,22 @@ NEIGHBOUR: Final = 600.0
 SECONDS_PER_WEEK: Final = 7 * SECONDS_PER_DAY
 EXCEL_ZERO: Final = np.datetime64("1899-12-30", "us")
 """Day 0 of a spreadsheet, for all days after February 1900."""
+NO_TIME: Final = "no time"
+UNREADABLE_TIME: Final = "a time that cannot be read"
+AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or skips (set zone in [time] if it is UTC)"
+IMPLAUSIBLE_TIME: Final = "a time before 2000 or after 2100"
+NO_VEHICLE: Final = "no vehicle"
+NO_VALUE: Final = "no value in any field of the map"
+MOST_HEADERS: Final = 1000
+"""Rows of a block without a readable time that are compared with a header."""
+_OF_TIME: Final = (UNREADABLE_TIME, AMBIGUOUS_TIME, IMPLAUSIBLE_TIME, HEADER_AGAIN)
+"""Causes that the text of the time shows."""
+TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "on", "t", "charging", "ja", "oui"})
+FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "off", "f", "done", "stopped", "disconnected", "nein", "non"})
+_WHOLE: Final = re.compile(r"^(\d+)\.0$")
+"""A whole number, as programs export it from a column with empty cells."""
+_MINUTES: Final = r"^[+-]?\d{1,3}[ °]+\d{1,2}(\.\d*)?['′]?$"
+"""A position in degrees and minutes, such as `45 30.25`."""
 
 
 class RowTimes(NamedTuple):
@@ -204,25 +220,6 @@ class TimeReader:
         times = times.copy()
         times[known] += days * SECONDS_PER_DAY
         return times
-
-
-NO_TIME: Final = "no time"
-UNREADABLE_TIME: Final = "a time that cannot be read"
-AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or skips (set zone in [time] if it is UTC)"
-IMPLAUSIBLE_TIME: Final = "a time before 2000 or after 2100"
-NO_VEHICLE: Final = "no vehicle"
-NO_VALUE: Final = "no value in any field of the map"
-
-MOST_HEADERS: Final = 1000
-"""Rows of a block without a readable time that are compared with a header."""
-_OF_TIME: Final = (UNREADABLE_TIME, AMBIGUOUS_TIME, IMPLAUSIBLE_TIME, HEADER_AGAIN)
-"""Causes that the text of the time shows."""
-TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "on", "t", "charging", "ja", "oui"})
-FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "off", "f", "done", "stopped", "disconnected", "nein", "non"})
-_WHOLE: Final = re.compile(r"^(\d+)\.0$")
-"""A whole number, as programs export it from a column with empty cells."""
-_MINUTES: Final = r"^[+-]?\d{1,3}[ °]+\d{1,2}(\.\d*)?['′]?$"
-"""A position in degrees and minutes, such as `45 30.25`."""
 
 
 class RowReader:

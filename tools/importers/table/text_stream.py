@@ -29,6 +29,20 @@ _BLANK: Final = re.compile(rb"\n[ \t]*\r?(?=\n)")
 _DEGREES: Final = {b"\xb0": LETTERS, b"\xa1": "mac_roman", b"\xf8": "cp850"}
 """Sign of degrees in one byte -> encoding."""
 _HANDLER: Final = "socast-single-bytes"
+WRONG_WIDTH: Final = "another number of cells than the header"
+"""Cause: a row that cannot be divided into columns."""
+DIVIDED_THOUSANDS: Final = (
+    "more cells than the header, because thousands separators divide their numbers (export them without thousands "
+    "separators, or in quotes, or with ';' between the cells)"
+)
+DIVIDED_DECIMALS: Final = (
+    "more cells than the header, because decimal commas divide their numbers (export with ';' between the cells, or "
+    "with decimal points)"
+)
+OPEN_QUOTE: Final = "a quote that is opened and not closed, up to the next quote (close or remove it)"
+HEADER_AGAIN: Final = "the header again, as in joined files"
+LONGEST_EXAMPLE: Final = 60
+"""Letters of a row that are shown."""
 
 
 class _SingleBytes:
@@ -208,22 +222,6 @@ def _count_lines(data: bytes) -> int:
     """Return the number of ends of lines, of any kind."""
     ends = data.count(b"\n")
     return ends + data.count(b"\r") - data.count(b"\r\n") if b"\r" in data else ends
-
-
-WRONG_WIDTH: Final = "another number of cells than the header"
-"""Cause: a row that cannot be divided into columns."""
-DIVIDED_THOUSANDS: Final = (
-    "more cells than the header, because thousands separators divide their numbers (export them without thousands "
-    "separators, or in quotes, or with ';' between the cells)"
-)
-DIVIDED_DECIMALS: Final = (
-    "more cells than the header, because decimal commas divide their numbers (export with ';' between the cells, or "
-    "with decimal points)"
-)
-OPEN_QUOTE: Final = "a quote that is opened and not closed, up to the next quote (close or remove it)"
-HEADER_AGAIN: Final = "the header again, as in joined files"
-LONGEST_EXAMPLE: Final = 60
-"""Letters of a row that are shown."""
 
 
 class RowFaults:

@@ -41,6 +41,32 @@ _LAST_OF_ALPHABETS: Final = "\u2e80"
 """Letter before those that are words of their own, such as those for year, month and day."""
 MOST_SHAPES: Final = 6
 """Shapes of texts from which forms are derived."""
+_GROUPS: Final[Mapping[str, str]] = {
+    "Y": r"\d{4}",
+    "y": r"\d{2}",
+    "m": r"\d{1,2}",
+    "d": r"\d{1,2}",
+    "b": r"\p{L}+\.?",
+    "H": r"\d{1,2}",
+    "I": r"\d{1,2}",
+    "M": r"\d{1,2}",
+    "S": r"\d{1,2}",
+    "f": r"\d{1,9}",
+    "p": r"[AaPp]\.?\s?[Mm]\.?|上午|下午|午前|午後|오전|오후",
+    "z": r"(?:UTC|GMT)?[+-]\d{1,2}(?::?\d\d)?|[A-Z]{1,5}",
+}
+"""Directive -> the text that it stands for, as RE2 reads it."""
+_SAME: Final = {"B": "b", "Z": "z"}
+_ORDINAL: Final = r"(?:st|nd|rd|th|er|º|ª)?"
+_AFTERNOON: Final = ("p", "下", "午後", "오후")
+ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
+_STATED: Final = (
+    r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})"
+    r"(?:\s+\d{4}|\s*\([^)]*\))?\s*$"
+)
+"""Offset at the end of a time, or before a year at its end."""
+MOST_WORDS: Final = 100
+"""Different offsets that a column may state in a block."""
 
 
 def list_forms(texts: Sequence[str]) -> list[str]:
@@ -133,32 +159,6 @@ def _list_orders(numbers: Sequence[str], has_month: bool) -> Iterator[tuple[str,
 
 
 Stamps = NDArray[np.datetime64]
-
-_GROUPS: Final[Mapping[str, str]] = {
-    "Y": r"\d{4}",
-    "y": r"\d{2}",
-    "m": r"\d{1,2}",
-    "d": r"\d{1,2}",
-    "b": r"\p{L}+\.?",
-    "H": r"\d{1,2}",
-    "I": r"\d{1,2}",
-    "M": r"\d{1,2}",
-    "S": r"\d{1,2}",
-    "f": r"\d{1,9}",
-    "p": r"[AaPp]\.?\s?[Mm]\.?|上午|下午|午前|午後|오전|오후",
-    "z": r"(?:UTC|GMT)?[+-]\d{1,2}(?::?\d\d)?|[A-Z]{1,5}",
-}
-"""Directive -> the text that it stands for, as RE2 reads it."""
-_SAME: Final = {"B": "b", "Z": "z"}
-_ORDINAL: Final = r"(?:st|nd|rd|th|er|º|ª)?"
-_AFTERNOON: Final = ("p", "下", "午後", "오후")
-ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
-
-_STATED: Final = (
-    r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})"
-    r"(?:\s+\d{4}|\s*\([^)]*\))?\s*$"
-)
-"""Offset at the end of a time, or before a year at its end."""
 
 
 class ParsedTimes(NamedTuple):
@@ -324,10 +324,6 @@ def read_offsets(cells: pa.Array, stamps: Stamps) -> Floats:
             chosen = places == place
             offsets[chosen] = _measure(stamps[chosen], zone)
     return offsets
-
-
-MOST_WORDS: Final = 100
-"""Different offsets that a column may state in a block."""
 
 
 def _find_zone(word: str) -> ZoneInfo | None:

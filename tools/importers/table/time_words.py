@@ -43,6 +43,84 @@ _NAMED: Final[Mapping[str, float]] = {
 }
 """Abbreviation of a time zone -> offset from UTC [h], without those of several zones, such as CST, IST and BST."""
 _OFFSET: Final = re.compile(r"(?:UTC|GMT)?\s*([+\-−])?(\d{1,2})(?::?([0-5]\d))?(?::[0-5]\d)?", re.IGNORECASE)
+_STEMS: Final = (
+    "jan gen ene ian jaan led sty tammi oca sau xan urt yan sij ιαν янв яну јан січ сту",
+    "feb fev feu unor uno lut helmi sub febr vas veebr ots velj φεβ фев феб лют",
+    "mar mrt marc maa maer brez bre maalis kov ozu μαρ мар бер сак",
+    "apr avr abr avril dub kwi huhti nis bal ebr api trav tra απρ апр кві кра",
+    "may mai maj mei mag kve touko maig geg svi μαι май маи мая мај тра",
+    "jun juin giu cze cvn cervn cerven kesa haz iun juun xun birz eka lipanj lipnj ιουν июн юни јун чер чэр",
+    "jul juil lug lip cvc cervenc cervenec heina tem iul juul liep xul uzt srpanj srpnj ιουλ июл юли јул лип ліп",
+    "aug ago agost aou avg agu sie srp elo ogo rugp abu kolo αυγ авг сер жні",
+    "sep set wrz zar syys szep rugs eyl ira ruj σεπ сен сеп вер",
+    "oct okt ott out paz rij loka eki spal urr οκτ окт жов кас",
+    "nov lis marras kas noi lapkr aza noy studen νοε ноя ное нов лис ліс",
+    "dec dez dic des dek pro gru joulu ara det dis gruod abe δεκ дек дец гру сне",
+)
+"""First letters of the names of each month, without accents, in some thirty languages; the longest that fits counts."""
+_SHORT: Final[Mapping[str, int]] = {"ag": 8, "kol": 8, "stu": 11}
+"""Abbreviations that are no first letters of others."""
+_DOUBTFUL: Final[Mapping[str, str]] = {
+    "lip": "July in Polish, June in Croatian",
+    "srp": "August in Czech, July in Croatian",
+    "lis": "November in Polish and Czech, October in Croatian",
+}
+"""First letters of names that mean two months: what they are read as, and what else they mean."""
+_LETTERS: Final = str.maketrans({"ł": "l", "ø": "o", "ß": "ss", "ı": "i", "đ": "d", "æ": "ae"})
+_LONGEST: Final = 14
+"""Letters of the longest name of a month."""
+TIME_UNITS: Final[Mapping[str, float]] = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+    "d": 86400.0,
+    "excel": 86400.0,
+}
+"""Unit of a time in numbers -> seconds. Days of `excel` count from 30 December 1899 in local time."""
+_TIME_UNIT: Final = re.compile(rf"(?:(\d+(?:\.\d+)?) ?)?({'|'.join(TIME_UNITS)})")
+"""Unit of a time in numbers, perhaps several of them, such as `10 ms`."""
+SERIAL: Final = "excel"
+FIRST_EPOCH: Final = 946684800.0
+LAST_EPOCH: Final = 4102444800.0
+"""1 January 2000 and 2100, between which the times of rows lie. [Unix s]"""
+MOST_WEEKS: Final = 4096
+"""Largest number of weeks by which times are moved."""
+GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"
+"""Time of the number 0 in a guessed map, which a person must correct."""
+_YEAR: Final = r"20\d\d"
+_MONTH: Final = r"0[1-9]|1[0-2]|[^\W\d_]{3,10}\.?"
+_DAY: Final = r"0[1-9]|[12]\d|3[01]"
+_MARK: Final = r"[-_. ]?"
+_DAYS_IN_NAME: Final = (
+    re.compile(rf"(?<!\d)(?P<Y>{_YEAR})(?P<a>{_MARK})(?P<m>{_MONTH})(?P<b>{_MARK})(?P<d>{_DAY})(?!\d{{1,3}}(?!\d))"),
+    re.compile(rf"(?<!\d)(?P<d>{_DAY})(?P<a>{_MARK})(?P<m>{_MONTH})(?P<b>{_MARK})(?P<Y>{_YEAR})(?!\d)"),
+)
+"""Year, month and day in the name of a file, in either order; the month as a number or by its name."""
+_DIRECTIVES: Final = {
+    "Y": r"\d{4}",
+    "y": r"\d{2}",
+    "m": r"\d{1,2}",
+    "d": r"\d{1,2}",
+    "j": r"\d{3}",
+    "b": r"[^\W\d_]{3,10}\.?",
+    "B": r"[^\W\d_]{3,10}\.?",
+    "H": r"\d{1,2}",
+    "I": r"\d{1,2}",
+    "M": r"\d{2}",
+    "S": r"\d{2}",
+    "f": r"\d{1,6}",
+    "p": r"[AaPp][Mm]",
+    "z": r"(?:Z|[+-]\d\d:?\d\d)",
+    "%": "%",
+}
+"""Directive of `strptime` that a form of names may hold -> the text that it stands for."""
+_TIME_IN_NAME: Final = re.compile(
+    r"([-_. T]{0,3}|, ?| at )([01]\d|2[0-3])([-_.:h]?)([0-5]\d)(?:([-_.:m]?)([0-5]\d))?(?!\d)"
+)
+"""Time of day that follows the day in the name of a file."""
 
 
 @cache
@@ -88,34 +166,6 @@ def spell_offset(seconds: float) -> str:
     return f"{'-' if seconds < 0 else '+'}{minutes // 60:02}:{minutes % 60:02}"
 
 
-_STEMS: Final = (
-    "jan gen ene ian jaan led sty tammi oca sau xan urt yan sij ιαν янв яну јан січ сту",
-    "feb fev feu unor uno lut helmi sub febr vas veebr ots velj φεβ фев феб лют",
-    "mar mrt marc maa maer brez bre maalis kov ozu μαρ мар бер сак",
-    "apr avr abr avril dub kwi huhti nis bal ebr api trav tra απρ апр кві кра",
-    "may mai maj mei mag kve touko maig geg svi μαι май маи мая мај тра",
-    "jun juin giu cze cvn cervn cerven kesa haz iun juun xun birz eka lipanj lipnj ιουν июн юни јун чер чэр",
-    "jul juil lug lip cvc cervenc cervenec heina tem iul juul liep xul uzt srpanj srpnj ιουλ июл юли јул лип ліп",
-    "aug ago agost aou avg agu sie srp elo ogo rugp abu kolo αυγ авг сер жні",
-    "sep set wrz zar syys szep rugs eyl ira ruj σεπ сен сеп вер",
-    "oct okt ott out paz rij loka eki spal urr οκτ окт жов кас",
-    "nov lis marras kas noi lapkr aza noy studen νοε ноя ное нов лис ліс",
-    "dec dez dic des dek pro gru joulu ara det dis gruod abe δεκ дек дец гру сне",
-)
-"""First letters of the names of each month, without accents, in some thirty languages; the longest that fits counts."""
-_SHORT: Final[Mapping[str, int]] = {"ag": 8, "kol": 8, "stu": 11}
-"""Abbreviations that are no first letters of others."""
-_DOUBTFUL: Final[Mapping[str, str]] = {
-    "lip": "July in Polish, June in Croatian",
-    "srp": "August in Czech, July in Croatian",
-    "lis": "November in Polish and Czech, October in Croatian",
-}
-"""First letters of names that mean two months: what they are read as, and what else they mean."""
-_LETTERS: Final = str.maketrans({"ł": "l", "ø": "o", "ß": "ss", "ı": "i", "đ": "d", "æ": "ae"})
-_LONGEST: Final = 14
-"""Letters of the longest name of a month."""
-
-
 @cache
 def find_month(word: str) -> int | None:
     """Return the number of the month that a word names, None where it names none.
@@ -159,29 +209,6 @@ def fold_word(word: str) -> str:
     """
     apart = unicodedata.normalize("NFKD", word.casefold().translate(_LETTERS))
     return "".join(letter for letter in apart if letter.isalpha())
-
-
-TIME_UNITS: Final[Mapping[str, float]] = {
-    "s": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-    "d": 86400.0,
-    "excel": 86400.0,
-}
-"""Unit of a time in numbers -> seconds. Days of `excel` count from 30 December 1899 in local time."""
-_TIME_UNIT: Final = re.compile(rf"(?:(\d+(?:\.\d+)?) ?)?({'|'.join(TIME_UNITS)})")
-"""Unit of a time in numbers, perhaps several of them, such as `10 ms`."""
-SERIAL: Final = "excel"
-FIRST_EPOCH: Final = 946684800.0
-LAST_EPOCH: Final = 4102444800.0
-"""1 January 2000 and 2100, between which the times of rows lie. [Unix s]"""
-MOST_WEEKS: Final = 4096
-"""Largest number of weeks by which times are moved."""
-GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"
-"""Time of the number 0 in a guessed map, which a person must correct."""
 
 
 class TimeSource(NamedTuple):
@@ -246,39 +273,6 @@ def find_time_unit(text: str) -> float | None:
     """
     found = _TIME_UNIT.fullmatch(text)
     return float(found[1] or 1.0) * TIME_UNITS[found[2]] if found else None
-
-
-_YEAR: Final = r"20\d\d"
-_MONTH: Final = r"0[1-9]|1[0-2]|[^\W\d_]{3,10}\.?"
-_DAY: Final = r"0[1-9]|[12]\d|3[01]"
-_MARK: Final = r"[-_. ]?"
-_DAYS_IN_NAME: Final = (
-    re.compile(rf"(?<!\d)(?P<Y>{_YEAR})(?P<a>{_MARK})(?P<m>{_MONTH})(?P<b>{_MARK})(?P<d>{_DAY})(?!\d{{1,3}}(?!\d))"),
-    re.compile(rf"(?<!\d)(?P<d>{_DAY})(?P<a>{_MARK})(?P<m>{_MONTH})(?P<b>{_MARK})(?P<Y>{_YEAR})(?!\d)"),
-)
-"""Year, month and day in the name of a file, in either order; the month as a number or by its name."""
-_DIRECTIVES: Final = {
-    "Y": r"\d{4}",
-    "y": r"\d{2}",
-    "m": r"\d{1,2}",
-    "d": r"\d{1,2}",
-    "j": r"\d{3}",
-    "b": r"[^\W\d_]{3,10}\.?",
-    "B": r"[^\W\d_]{3,10}\.?",
-    "H": r"\d{1,2}",
-    "I": r"\d{1,2}",
-    "M": r"\d{2}",
-    "S": r"\d{2}",
-    "f": r"\d{1,6}",
-    "p": r"[AaPp][Mm]",
-    "z": r"(?:Z|[+-]\d\d:?\d\d)",
-    "%": "%",
-}
-"""Directive of `strptime` that a form of names may hold -> the text that it stands for."""
-_TIME_IN_NAME: Final = re.compile(
-    r"([-_. T]{0,3}|, ?| at )([01]\d|2[0-3])([-_.:h]?)([0-5]\d)(?:([-_.:m]?)([0-5]\d))?(?!\d)"
-)
-"""Time of day that follows the day in the name of a file."""
 
 
 class _NameDay(NamedTuple):

@@ -38,6 +38,24 @@ CLOUDS: Final = 0.3
 BETTER: Final = 2.0
 """Ratio of the difference from the sun to that of another zone from which the other one is right. [1]"""
 _NOON: Final = int(np.argmin(np.abs(SHIFTS)))
+BEFORE: Final = 86400.0
+"""Time before the first row from which observations are kept, for what rain and snow left on the road. [s]"""
+OLDEST: Final = 3 * 3600.0
+"""Age up to which an observation is the weather of a row. [s]"""
+LEAST_COVERED: Final = 0.9
+"""Share of the rows with such an observation."""
+LARGEST_FILE: Final = 1 << 28
+"""Largest file of weather. [B]"""
+HOT: Final = 48.0
+"""Median temperature above which degrees are Fahrenheit. [degC]"""
+_TEMPERATURE: Final = "ambient_c"
+_BARE: Final = re.compile(
+    r"(air[ _]?)?(temp|temperature)([ _]?(2m|air|c|f|degc|degf))?|tmp[cf]|lufttemperatur", re.IGNORECASE
+)
+"""Names of a temperature that mean the outside air in a file of weather."""
+_UNITS: Final = {"tmpf": "degF", "sknt": "knot", "p01i": "inch", "temp_f": "degF"}
+"""Name of a column -> unit that it means."""
+_PLACES: Final = ("latitude_deg", "longitude_deg")
 
 
 class SunWitness:
@@ -115,26 +133,6 @@ class SunWitness:
         words = f"set zone = '{spell_offset(right)}' in [time]" if abs(right) <= LARGEST else "correct the clock"
         remedy = "state the offset of its times, such as 2024-05-01T08:00+08:00" if self.what else words
         return Check(name, found, limit, False, f"{remedy}, unless the irradiance has another clock")
-
-
-BEFORE: Final = 86400.0
-"""Time before the first row from which observations are kept, for what rain and snow left on the road. [s]"""
-OLDEST: Final = 3 * 3600.0
-"""Age up to which an observation is the weather of a row. [s]"""
-LEAST_COVERED: Final = 0.9
-"""Share of the rows with such an observation."""
-LARGEST_FILE: Final = 1 << 28
-"""Largest file of weather. [B]"""
-HOT: Final = 48.0
-"""Median temperature above which degrees are Fahrenheit. [degC]"""
-_TEMPERATURE: Final = "ambient_c"
-_BARE: Final = re.compile(
-    r"(air[ _]?)?(temp|temperature)([ _]?(2m|air|c|f|degc|degf))?|tmp[cf]|lufttemperatur", re.IGNORECASE
-)
-"""Names of a temperature that mean the outside air in a file of weather."""
-_UNITS: Final = {"tmpf": "degF", "sknt": "knot", "p01i": "inch", "temp_f": "degF"}
-"""Name of a column -> unit that it means."""
-_PLACES: Final = ("latitude_deg", "longitude_deg")
 
 
 class WeatherFile(NamedTuple):
