@@ -80,7 +80,6 @@ def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
         f"{100 * SHARE:g} % of a core",
         share / SHARE,
         "< 1",
-        share < SHARE,
         {
             "filters_pct_of_a_core": 100.0 * share,
             "with_outlook_pct_of_a_core": 100.0 * of_all.seconds / passed,
@@ -140,7 +139,6 @@ def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
         f"{100 * SHARE:g} % of a core",
         share / SHARE,
         "< 1",
-        share < SHARE,
         {
             "learning_and_update_pct_of_a_core": 100.0 * (learning + update) / SECONDS_PER_DAY,
             "snapshot_pct_of_a_core": 100.0 * snapshot / KEEP_S,

@@ -200,7 +200,6 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
         "an idle Zenoh subscriber",
         idle_s / busy_s,
         ">= 0.8",
-        idle_s / busy_s >= 0.8,
         {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
         "Both cores are busy. Per sample, the pipeline takes 2.5 us of processor time, taking samples out of Zenoh and "
         "into columns 1.3 us (five objects of zenoh-python each), Zenoh's receiving thread 1.4 us, and the publisher 2 "
@@ -221,7 +220,6 @@ def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Mea
         "the same samples one by one in JSON",
         single_s / batch_s,
         ">= 5",
-        single_s >= 5 * batch_s,
         {"batched_samples_per_s": total / batch_s, "single_samples_per_s": total / single_s},
         "The steps over arrays, the filters and the forecasts take three quarters of the time of a batch in the "
         "pipeline, and they are the same for both.",
@@ -264,7 +262,6 @@ def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Mea
         "the same with plain TCP",
         ratio,
         ">= 0.8",
-        ratio >= 0.8,
         {
             "plain_samples_per_s": total / plain.wall_s,
             "secured_samples_per_s": total / rules.wall_s,
