@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from socast.tools.bench.league.fault import are_compatible
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import find_difference, judge_stream, make_entry
 from socast.tools.bench.league.laws import REPAIRED, RIGHT, WRONG
+from socast.tools.bench.league.loggers import are_compatible
 
 pytestmark = pytest.mark.long
 

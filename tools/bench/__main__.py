@@ -2,27 +2,32 @@
 
 import argparse
 from collections.abc import Callable
+from functools import partial
+from typing import Final
 
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.daily_update import measure_daily_update
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.filters import measure_filters
-from socast.tools.bench.learning import measure_fit, measure_fit_memory
-from socast.tools.bench.live import measure_batches, measure_live
+from socast.tools.bench.figures.published import publish, show_table, write_table
+from socast.tools.bench.filters import measure_daily_update, measure_filters
+from socast.tools.bench.live import measure_batches, measure_live, measure_security
 from socast.tools.bench.measures import (
     Measure,
     measure_arrays,
-    measure_effects_start,
-    measure_help_start,
+    measure_fit,
+    measure_fit_memory,
     measure_replay,
     measure_scale,
-    measure_version_start,
+    measure_start,
 )
-from socast.tools.bench.security import measure_security
-from socast.tools.terminal.rich_table import Column, make_table
 
+HEADS: Final = ("what", "against", "ratio", "goal", "")
+STARTS: Final = (
+    ("--help", 15.0, "Half of it is typer and the rest the standard library; no command is imported."),
+    ("--version", 15.0, "As for --help; reading the version takes 20 ms of `importlib.metadata`."),
+    ("effects list", 50.0, "A third is importing numpy, a fifth typer with its validation, a tenth rich."),
+)
+"""Words of a command, the largest ratio of its start to that of the interpreter, and what limits it."""
 MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_live,
     measure_batches,
@@ -34,23 +39,16 @@ MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_daily_update,
     measure_fit,
     measure_fit_memory,
-    measure_help_start,
-    measure_version_start,
-    measure_effects_start,
+    *(partial(measure_start, *start) for start in STARTS),
 )
 
 
 def main() -> None:
     """Run every measure, print the ratios, and publish them."""
     argparse.ArgumentParser(prog="python -m socast.tools.bench", description=__doc__).parse_args()
-    console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
-    columns = [Column("what"), Column("against"), Column("ratio", number=True), Column("goal"), Column("")]
-    table = make_table(columns, "Ratios of speed, measured in turn in one run")
-    for row in list_rows(measures):
-        table.add_row(*row)
-    console.print(table)
+    show_table("Ratios of speed, measured in turn in one run", HEADS, list_rows(measures), "--n--")
     publish("speed", "make bench", make_lines(measures))
 
 
@@ -69,7 +67,7 @@ def make_lines(measures: list[Measure]) -> list[str]:
             "noisy: read ratios, not seconds."
         ),
         "",
-        *write_table(["what", "against", "ratio", "goal", ""], list_rows(measures)),
+        *write_table(HEADS, list_rows(measures)),
         "",
         "### What limits each measure",
     ]

@@ -19,33 +19,14 @@ from typing import Any
 import psutil
 
 from socast.stream.zenoh_session import Connection, Node, find_free_port
-from socast.stream.zenoh_sink import ZenohSink
-from socast.tools.bench.fleet import make_rounds, make_vehicles
+from socast.tools.bench.live import WARM_UP, publish_stream
 
 PATIENCE_S = 300.0
-WARM_UP = 20
-"""Samples of each car before the measurement, so that every car and every key is known."""
 
 
 def run_router(endpoint: str, stop: ProcessEvent) -> None:
     """Run a router until it is stopped."""
     with Node(Connection(listen=(endpoint,), mode="router")):
-        stop.wait()
-
-
-def publish(endpoint: str, cars: int, rounds: int, ready: ProcessEvent, go: ProcessEvent, stop: ProcessEvent) -> None:
-    """Publish the warm-up, and then the rounds, as fast as they are accepted; stay connected until the stop."""
-    with Node(Connection(connect=(endpoint,))) as node:
-        sink = ZenohSink(node)
-        sink.put(make_vehicles(cars))
-        for messages in make_rounds(cars, 0, WARM_UP):
-            sink.put(messages)
-        node.flush()
-        messages = [message for turn in make_rounds(cars, WARM_UP, rounds) for message in turn]
-        ready.set()
-        go.wait()
-        for at in range(0, len(messages), 1000):
-            sink.put(messages[at : at + 1000])
         stop.wait()
 
 
@@ -88,7 +69,8 @@ def measure(cars: int, rounds: int, folder: Path) -> dict[str, Any]:
     command = [sys.executable, "-m", "socast.tools.cli", "live", "--connect", endpoint, "--json-log", *map(str, files)]
     with log.open("w") as file:
         consumer = subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
-    publisher = context.Process(target=publish, args=(endpoint, cars, rounds, ready, go, stop))
+    connections = [Connection(connect=(endpoint,))]
+    publisher = context.Process(target=publish_stream, args=(connections, cars, rounds, ready, go, stop))
     try:
         while '"listening"' not in log.read_text():
             time.sleep(0.2)

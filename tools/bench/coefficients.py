@@ -6,38 +6,39 @@ power in steps of half a second, and loggers sample them every three, so the tab
 of real loggers do.
 """
 
-import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
 from multiprocessing import get_context
-from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from socast.core import effects
 from socast.core.columns import STANDARD_AIR_DENSITY
-from socast.core.errors import SocastError
 from socast.core.fit.model_summary import list_coefficients
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.formatting import format_minus
 from socast.core.models import ANY
-from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_clustered_share
 from socast.core.vehicles import load_catalogue
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.figures.published import (
+    keep,
+    make_parser,
+    parse_seeds,
+    publish,
+    show_table,
+    tell_errors,
+    write_table,
+)
+from socast.tools.bench.measures import tabulate
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.physics import ROTATING
 from socast.tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation
 from socast.tools.simulator.trace import REFERENCE_DENSITY
 from socast.tools.simulator.truth import Truth
-from socast.tools.terminal.rich_table import Column, make_table
 
 SEEDS: Final = "3201-3260"
 """Seeds on which nothing was chosen; 3100 to 3135 served the development."""
@@ -73,36 +74,26 @@ class Estimate(NamedTuple):
     high: float
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the measurement, print its table and write its JSON file."""
-    parser = argparse.ArgumentParser("coefficients", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default=SEEDS, help="seeds, such as 3201-3260 or 7,9")
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
+    """Run the measurement, print its table and write its JSON file, which is used again."""
+    parser = make_parser("coefficients", __doc__, seeds=SEEDS, json=None, publish=False)
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
-    parser.add_argument("--json", type=Path, help="file for every coefficient; one that exists is used again")
-    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
     options = parser.parse_args(arguments)
-    try:
-        seeds = parse_seeds(options.seeds)
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
-    if options.json and options.json.exists():
-        estimates = [Estimate(**each) for each in json.loads(options.json.read_text(encoding="utf-8"))["estimates"]]
-    else:
-        with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
-            estimates = [estimate for fleet in pool.map(measure_fleet, seeds) for estimate in fleet]
-    rows = list_rows(estimates)
-    table = make_table([Column(HEADS[0]), *(Column(head, number=True) for head in HEADS[1:])], "Intervals of 95 %")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    seeds = parse_seeds(options.seeds)
+    kept = keep(options.json, lambda: measure_fleets(seeds, options.processes))
+    rows = list_rows([Estimate(**each) for each in kept["estimates"]])
+    show_table("Intervals of 95 %", HEADS, rows)
     if options.publish:
         command = f"python -m socast.tools.bench.coefficients --seeds {options.seeds}"
         publish("coefficients", command, [ABOUT, "", *write_table(HEADS, rows)])
-    if options.json:
-        content = {"recipe": RECIPE, "estimates": [each._asdict() for each in estimates]}
-        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return 0
+
+
+def measure_fleets(seeds: Sequence[int], processes: int) -> dict[str, Any]:
+    """Return the coefficients of all fleets, as JSON holds them."""
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
+        estimates = [estimate._asdict() for fleet in pool.map(measure_fleet, seeds) for estimate in fleet]
+    return {"recipe": RECIPE, "estimates": estimates}
 
 
 def measure_fleet(seed: int) -> list[Estimate]:
@@ -119,10 +110,8 @@ def measure_fleet(seed: int) -> list[Estimate]:
         phenomena=PLAIN_PHENOMENA._replace(payload=True),
         faults=NO_FAULTS,
     )
-    pipeline = Pipeline(also=list(effects.list_tabulated()), two_sided=True, keep_forecasts=False)
-    pipeline.push(list(simulate(simulation, truth)))
-    pipeline.finish()
-    rides, windows = pipeline.take_rides(), pipeline.take_windows()
+    also = list(effects.list_tabulated())
+    rides, windows = tabulate(list(simulate(simulation, truth)), also=also, two_sided=True)
     fitted = fit_to_windows(RECIPE, rides, windows, covariance=False)
     key = model if model in fitted.fits else ANY
     true = find_truth(truth, rides)

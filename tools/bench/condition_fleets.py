@@ -6,7 +6,6 @@ car-days are made, not telemetry, so that a fleet of 300 days takes no simulatio
 Example: python -m socast.tools.bench.condition_fleets
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from datetime import date
 from typing import Final
@@ -17,7 +16,7 @@ from scipy.stats import binomtest
 from socast.core.condition.car_condition import CLEAR_SDS, Followed, follow, follow_beside_siblings
 from socast.core.condition.level_model import CAPACITY, Series
 from socast.core.stats.scores import NORMAL_95
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import make_parser, publish, write_table
 
 FIRST: Final = date(2018, 9, 1).toordinal()
 """First date of the made-up fleets."""
@@ -134,7 +133,7 @@ def _share(values: Sequence[bool]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Judge and publish."""
-    argparse.ArgumentParser("condition_fleets", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
+    make_parser("condition_fleets", __doc__).parse_args(arguments)
     rows = [row for kind in STEPS for row in judge_steps(*kind)]
     models = ["m"] * CARS
     what = f"{100 * RATE:.0f} % more each year in one of {CARS} cars, 300 days"

@@ -6,10 +6,9 @@ clocks of the loggers do not step then, because the true climb of a window is fo
 coarse map is like a tile of SRTM: nodes 3 arc seconds apart in whole metres, with the error that the product assumes.
 """
 
-import argparse
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import nan, radians, sqrt
@@ -32,7 +31,8 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
 from socast.stream.loop import feed
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench import measures
+from socast.tools.bench.figures.published import make_parser, publish, write_json, write_table
 from socast.tools.bench.measures import cut_blocks
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
@@ -136,11 +136,8 @@ def tabulate(
     messages: Sequence[Message], elevation_map: ElevationMap | None, *, two_sided: bool
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of messages."""
-    also = effects.get_library()
-    pipeline = Pipeline(also=list(also), keep_forecasts=False, two_sided=two_sided, elevation_map=elevation_map)
-    for _ in feed(cut_blocks(messages), pipeline):
-        pass
-    return pipeline.take_rides(), pipeline.take_windows()
+    also = list(effects.get_library())
+    return measures.tabulate(messages, also=also, two_sided=two_sided, elevation_map=elevation_map)
 
 
 def measure_climb(rides: pd.DataFrame, windows: pd.DataFrame, truth: HeightTruth) -> dict[str, float]:
@@ -176,7 +173,7 @@ def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap |
     return nan if error is None else error
 
 
-def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None] = print) -> dict[str, Any]:
+def measure_fleet(seed: int, keep: Path | None = None) -> dict[str, Any]:
     """Return all figures of one fleet: by map and way, and by map for the forecasts."""
     maps = dict(zip(MAPS, (None, make_tile(seed), learn_map(seed, keep)), strict=True))
     days = {name: simulate_days(seed, *when) for name, when in (("fit", FIT_DAYS), ("test", TEST_DAYS))}
@@ -190,10 +187,10 @@ def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None
             rows = measure_climb(*tables["fit"], days["fit"][1])
             rows["mae_kwh"] = measure_model(tables["fit"][0], tables["test"][0])
             figures[f"{name}, {way}"] = rows
-            say(f"{seed} {name}, {way}: {rows}")
+            print(f"{seed} {name}, {way}: {rows}")
     messages, _ = simulate_days(seed, *SOC_DAYS, NIGHT)
     figures["soc_mae_pct"] = {name: measure_forecasts(messages, maps[name]) for name in (MAPS[0], MAPS[-1])}
-    say(f"{seed} forecasts: {figures['soc_mae_pct']}")
+    print(f"{seed} forecasts: {figures['soc_mae_pct']}")
     return figures
 
 
@@ -222,20 +219,16 @@ def make_lines(results: dict[int, dict[str, Any]]) -> list[str]:
     ]
 
 
-def main(arguments: Iterable[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure the fleets of some seeds, and print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.elevation", description=__doc__)
+    parser = make_parser("elevation", __doc__, keep=None, json=None, publish=False)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
-    parser.add_argument("--keep", type=Path, help="folder in which learned maps are kept")
-    parser.add_argument("--json", type=Path, help="file for the figures; one that exists is used again")
-    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
-    options = parser.parse_args(None if arguments is None else list(arguments))
+    options = parser.parse_args(arguments)
     known = json.loads(options.json.read_text(encoding="utf-8")) if options.json and options.json.exists() else {}
     results = {}
     for seed in options.seeds:
         results[seed] = known.get(str(seed)) or measure_fleet(seed, options.keep)
-        if options.json:
-            options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        write_json(options.json, results)
     lines = make_lines(results)
     print("\n".join(lines))
     if options.publish:

@@ -7,17 +7,14 @@ energy of a kind by catalogue differs from that of the simulated cars.
 Example: python -m socast.tools.bench.error_location --seeds 7301-7320 --keep build/location --publish
 """
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from socast.core.batch import Floats
@@ -26,19 +23,24 @@ from socast.core.diagnose.dataset import gather_windows
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.records import ErrorLocation
-from socast.core.errors import SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import compute_wilson_interval
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import (
+    keep,
+    make_parser,
+    parse_seeds,
+    publish,
+    show_table,
+    tell_errors,
+    write_table,
+)
 from socast.tools.bench.hidden.cases import SeedData
 from socast.tools.bench.hidden.drives import BASE, Drives, Readings, RecordedShift, enter_readings, integrate_shift
-from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.simulator.hidden import EffectInputs, compute_braking_power, compute_rolling_power
 from socast.tools.simulator.shift import NO_RIDE
 from socast.tools.simulator.trace import REFERENCE_DENSITY
-from socast.tools.terminal.rich_table import Column, make_table
 
 START: Final = 300.0
 """Time constant with which a load at the beginning of a ride decays. [s]"""
@@ -132,49 +134,28 @@ CASES: Final[dict[str, tuple[RandomLoad, ...]]] = {
 """Loads of each data set of a seed."""
 
 
-def main(arguments: list[str] | None = None) -> int:
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
     """Run the measurement, print its table and, if asked, write it to the page."""
-    parser = argparse.ArgumentParser("error-location", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default="7301-7320", help="seeds, such as 7301-7320 or 7,9")
-    parser.add_argument("--keep", type=Path, help="folder for the records of each seed; those in it are used again")
-    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
+    parser = make_parser("error_location", __doc__, seeds="7301-7320", keep=None, publish=False)
     options = parser.parse_args(arguments)
-    console = Console()
-    try:
-        seeds = parse_seeds(options.seeds)
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
-    records = []
-    for seed in seeds:
-        of_seed = measure_seed(seed, options.keep)
-        records += of_seed
-        for record in of_seed:
-            console.print(f"{seed} {record['case']}: {', '.join(record['claimed']) or 'nothing'}", highlight=False)
+    records = list[Record]()
+    for seed in parse_seeds(options.seeds):
+        records += keep(options.keep and options.keep / f"{seed}.json", partial(measure_seed, seed))
+        for record in records[-len(CASES) :]:
+            print(f"{seed} {record['case']}: {', '.join(record['claimed']) or 'nothing'}")
     rows = summarise(records)
-    table = make_table([Column("hidden"), *(Column(head, number=True) for head in HEADS)], "Location of the error")
-    for name, cells in rows.items():
-        table.add_row(name, *cells)
-    console.print(table)
+    show_table("Location of the error", ("hidden", *HEADS), [(name, *cells) for name, cells in rows.items()])
     if options.publish:
         command = f"python -m socast.tools.bench.error_location --seeds {options.seeds} --keep build/location"
         publish("error-location", command, make_lines(rows, records))
-    return 0
 
 
-def measure_seed(seed: int, keep: Path | None = None) -> list[Record]:
+def measure_seed(seed: int) -> list[Record]:
     """Return the records of all cases of a seed."""
-    file = None if keep is None else keep / f"{seed}.json"
-    if file is not None and file.exists():
-        known: list[Record] = json.loads(file.read_text(encoding="utf-8"))
-        return known
     data = SeedData(seed)
     with threadpool_limits(1):
-        records = [measure_case(data, name, loads) for name, loads in CASES.items()]
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
-    return records
+        return [measure_case(data, name, loads) for name, loads in CASES.items()]
 
 
 def measure_case(data: SeedData, name: str, loads: Sequence[RandomLoad]) -> Record:

@@ -7,27 +7,29 @@ Example: python -m socast.tools.bench.nothing_hidden --seeds 4001-4040 --keep bu
 after=.
 """
 
-import argparse
 import json
-import os
-import re
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from rich.console import Console
-
 from socast.core.diagnose.add.terms import name_scoped
-from socast.core.errors import SettingsError, SocastError
+from socast.core.errors import SettingsError
 from socast.core.models.features import list_scope
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.bench.figures.published import (
+    ROOT,
+    make_parser,
+    parse_seeds,
+    publish,
+    run_command,
+    show_table,
+    tell_errors,
+    write_json,
+    write_table,
+)
 
-ROOT: Final = Path(__file__).resolve().parent.parent.parent
 FLEET: Final = (
     *("--vehicles", "4", "--days", "12", "--day-step", "14", "--shift-hours", "1.5"),
     *("--phenomena", "plain,payload", "--faults", "unequipped=0"),
@@ -70,65 +72,32 @@ class Summary(NamedTuple):
     named: int
 
 
-def main(arguments: list[str] | None = None) -> int:
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
     """Run the measurement, print its tables and write its JSON file."""
-    options = make_parser().parse_args(arguments)
-    console = Console()
-    try:
-        seeds = parse_seeds(options.seeds)
-        trees = parse_trees(options.tree or [f"here={ROOT}"])
-        hidden = options.hidden
-        with tempfile.TemporaryDirectory() as scratch:
-            keep = (options.keep or Path(scratch)).resolve()
-            keep.mkdir(parents=True, exist_ok=True)
-            measured: dict[str, list[Fleet]] = {name: [] for name in trees}
-            for seed in seeds:
-                for name, fleet in measure_seed(seed, trees, keep, hidden).items():
-                    measured[name].append(fleet)
-                    names = ", ".join(fleet.named) or "nothing"
-                    console.print(f"{seed} {name}: {fleet.rides} rides, {fleet.windows} windows, named: {names}")
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
+    parser = make_parser("nothing_hidden", __doc__, seeds="4001-4040", keep=None, json=None, publish=False)
+    parser.add_argument("--tree", action="append", metavar="NAME=FOLDER", help="source tree; default: this one")
+    parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
+    options = parser.parse_args(arguments)
+    seeds, hidden = parse_seeds(options.seeds), options.hidden
+    trees = parse_trees(options.tree or [f"here={ROOT}"])
+    measured: dict[str, list[Fleet]] = {name: [] for name in trees}
+    with tempfile.TemporaryDirectory() as scratch:
+        keep = (options.keep or Path(scratch)).resolve()
+        keep.mkdir(parents=True, exist_ok=True)
+        for seed in seeds:
+            for name, fleet in measure_seed(seed, trees, keep, hidden).items():
+                measured[name].append(fleet)
+                names = ", ".join(fleet.named) or "nothing"
+                print(f"{seed} {name}: {fleet.rides} rides, {fleet.windows} windows, named: {names}")
     for name, fleets in measured.items():
-        print_summaries(name, fleets, console)
+        print_summaries(name, fleets)
     if options.publish:
         command = f"python -m socast.tools.bench.nothing_hidden --seeds {options.seeds}"
         publish("nothing-hidden", command, make_lines(measured, " ".join(FLEET)))
-    if options.json:
-        content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
-        settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
-        options.json.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-    return 0
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = argparse.ArgumentParser("nothing-hidden", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default="4001-4040", help="seeds, such as 4001-4040 or 7,9")
-    parser.add_argument("--tree", action="append", metavar="NAME=FOLDER", help="source tree; default: this one")
-    parser.add_argument("--keep", type=Path, help="folder for recordings and diagnoses; those in it are used again")
-    parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
-    parser.add_argument("--json", type=Path, help="file for the result of every fleet")
-    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
-    return parser
-
-
-def parse_seeds(text: str) -> list[int]:
-    """Return the seeds of a list of numbers and ranges.
-
-    Examples
-    --------
-    >>> parse_seeds("1-3,7")
-    [1, 2, 3, 7]
-    """
-    out: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
-        if match is None:
-            raise SettingsError(f"--seeds is {text!r}; give numbers and ranges, such as 4001-4040,4050")
-        out += range(int(match[1]), int(match[2] or match[1]) + 1)
-    return out
+    content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
+    settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
+    write_json(options.json, settings)
 
 
 def parse_trees(given: Sequence[str]) -> dict[str, Path]:
@@ -170,31 +139,15 @@ def diagnose_recording(tree: Path, recording: Path, file: Path) -> None:
         file.write_text(Path(result).read_text(encoding="utf-8"), encoding="utf-8")
 
 
-def run_command(tree: Path, words: Sequence[str]) -> None:
-    """Run a command of `socast` from a source tree."""
-    done = subprocess.run(  # noqa: S603 - the words are ours
-        [sys.executable, "-m", "socast.tools.cli", *words],
-        cwd=tree,  # `-m` searches the working folder first
-        env={**os.environ, "PYTHONPATH": str(tree)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise SocastError(f"{tree}: socast {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()}")
-
-
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
     """Return what a diagnosis found in a fleet."""
     named = [name_scoped(m["effect"], list_scope(m.get("columns") or ())) for m in result.get("missing") or ()]
-    named += [_name_deviation(one) for one in result.get("deviations") or ()]
+    named += [
+        name_scoped(one["effect"], [one["who"], *([f"since={one['since']}"] if one["since"] else [])])
+        for one in result.get("deviations") or ()
+    ]
     z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
     return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
-
-
-def _name_deviation(one: Mapping[str, Any]) -> str:
-    """Return the effect of a deviation with the car, the group or `all`, and the date since when it acts."""
-    return name_scoped(one["effect"], [one["who"], *([f"since={one['since']}"] if one["since"] else [])])
 
 
 def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
@@ -207,16 +160,16 @@ def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
     return sorted(out, key=lambda each: -abs(each.median))
 
 
-def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> None:
+def print_summaries(name: str, fleets: Sequence[Fleet]) -> None:
     """Print the table of a source tree."""
-    heads = ("fleets", "min z", "median z", "max z", "named in")
-    table = make_table([Column("effect"), *(Column(head, number=True) for head in heads)], f"{name}: nothing hidden")
-    for row in summarise_effects(fleets):
-        cells = (f"{row.least:.1f}", f"{row.median:.1f}", f"{row.most:.1f}", str(row.named))
-        table.add_row(row.effect, str(row.fleets), *cells)
-    console.print(table)
+    heads = ("effect", "fleets", "min z", "median z", "max z", "named in")
+    rows = [
+        (row.effect, str(row.fleets), *(f"{z:.1f}" for z in (row.least, row.median, row.most)), str(row.named))
+        for row in summarise_effects(fleets)
+    ]
+    show_table(f"{name}: nothing hidden", heads, rows)
     total = sum(len(fleet.named) for fleet in fleets)
-    console.print(f"{name}: {total} false names in {len(fleets)} fleets")
+    print(f"{name}: {total} false names in {len(fleets)} fleets")
 
 
 def make_lines(measured: Mapping[str, Sequence[Fleet]], description: str) -> list[str]:

@@ -5,11 +5,8 @@ those of the other days. Rides are compared with the truth of the simulation. Th
 with the faults of their loggers, and charge at night, so that the state of charge at the end of each shift is forecast.
 """
 
-import argparse
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +15,7 @@ import pandas as pd
 from socast.core.fit.recipes import get_recipe
 from socast.core.wire.messages import Message
 from socast.tools.bench.elevation import RECIPE, measure_forecasts, tabulate
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import keep, make_parser, publish, write_table
 from socast.tools.simulator.conditions import Conditions
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import NIGHT, Simulation
@@ -35,7 +32,7 @@ FIT_DAYS: Final = 6
 """Number of days, of which the first ones are fitted."""
 
 
-def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tuple[list[Message], pd.DataFrame]:
+def simulate_fleet(seed: int, periods: Sequence[float]) -> tuple[list[Message], pd.DataFrame]:
     """Return the messages of a fleet, and the true distance [km] and energy [kWh] of its rides.
 
     Parameters
@@ -44,7 +41,7 @@ def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tup
         Periods of the loggers, assigned to the cars in turn. [s]
     """
     truth, conditions = Truth(), Conditions(periods=tuple(periods))
-    simulation = Simulation(vehicles=CARS, start=START, days=days, seed=seed, charging=NIGHT, conditions=conditions)
+    simulation = Simulation(vehicles=CARS, start=START, days=DAYS, seed=seed, charging=NIGHT, conditions=conditions)
     messages = list(simulate(simulation, truth))
     names = {"distance_km": "true_km", "energy_kwh": "true_kwh"}
     return messages, pd.DataFrame(truth.rides).rename(columns=names)[["vehicle_id", "ride_id", *names.values()]]
@@ -80,14 +77,14 @@ def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict
     }
 
 
-def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> dict[str, float]:
+def measure_periods(seed: int, periods: Sequence[float]) -> dict[str, float]:
     """Return all figures of a fleet: those of `measure_tables`, and `soc_mae_pct`.
 
     Units: periods [s].
     """
-    messages, truth = simulate_fleet(seed, periods, days)
+    messages, truth = simulate_fleet(seed, periods)
     rides, _ = tabulate(messages, None, two_sided=True)
-    first = sorted(rides["date"].unique())[FIT_DAYS * days // DAYS]
+    first = sorted(rides["date"].unique())[FIT_DAYS]
     return measure_tables(rides, truth, first) | {"soc_mae_pct": measure_forecasts(messages, None)}
 
 
@@ -103,22 +100,19 @@ def make_lines(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     return write_table([*heads, "end of shift"], rows)
 
 
-def main(arguments: Iterable[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure every period, and a fleet with all of them, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.periods", description=__doc__)
+    parser = make_parser("periods", __doc__, json=None, publish=False)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
-    parser.add_argument("--json", type=Path, help="file for the figures; one that exists is used again")
-    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
-    options = parser.parse_args(None if arguments is None else list(arguments))
+    options = parser.parse_args(arguments)
     fleets: dict[str, tuple[float, ...]] = {f"{period:g} s" if period else "on change": (period,) for period in PERIODS}
     fleets["1, 3, 10, 30, 60 s in one fleet"] = (1.0, 3.0, 10.0, 30.0, 60.0)
-    if options.json and options.json.exists():
-        results = json.loads(options.json.read_text(encoding="utf-8"))
-    else:
-        results = {name: [measure_periods(seed, each) for seed in options.seeds] for name, each in fleets.items()}
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    lines = make_lines(results)
+    lines = make_lines(
+        keep(
+            options.json,
+            lambda: {name: [measure_periods(seed, each) for seed in options.seeds] for name, each in fleets.items()},
+        )
+    )
     print("\n".join(lines))
     if options.publish:
         seeds = " ".join(map(str, options.seeds))

@@ -5,8 +5,7 @@ The drives are fetched by whoever measures: `docs/real-cars.md` says from where.
 Example: python -m socast.tools.bench.real_cars --ved ved/ --i3 i3/ --model3 model3/ --keep build/real --publish
 """
 
-import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from math import log
 from pathlib import Path
@@ -23,7 +22,7 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import ANY, LinearModel
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
 from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
@@ -113,11 +112,7 @@ class Car(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print, and publish if asked to."""
-    parser = argparse.ArgumentParser("real_cars", description=(__doc__ or "").splitlines()[0])
-    for name, what in (("ved", "the Vehicle Energy Dataset"), ("i3", "the BMW i3"), ("model3", "the Tesla Model 3")):
-        parser.add_argument(f"--{name}", type=Path, required=True, help=f"folder with the files of {what}")
-    parser.add_argument("--keep", type=Path, required=True, help="folder for recordings and tables; used again")
-    parser.add_argument("--publish", action="store_true", help="write the figures into the pages")
+    parser = make_parser("real_cars", __doc__, ved=NEEDED, i3=NEEDED, model3=NEEDED, keep=NEEDED, publish=False)
     given = parser.parse_args(arguments)
     given.keep.mkdir(parents=True, exist_ok=True)
     with threadpool_limits(1):
@@ -275,12 +270,12 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
                 car.name,
                 f"{len(scores.scores)}",
                 f"{len(shown)}",
-                _count(shown, _is_named),
-                _count([one for one in shown if (one.form_evidence or 0.0) > log(VISIBLE)], _is_named),
-                _count(shown, _is_first),
-                _count(shown, lambda one: one.rank == 1),
-                _count([one for one in shown if one.covered is not None], lambda one: bool(one.covered)),
-                *(f"{sum(one.methods[name] for one in shown)} of {len(shown)}" for name in METHODS),
+                _count(one.rank is not None for one in shown),
+                _count(one.rank is not None for one in shown if (one.form_evidence or 0.0) > log(VISIBLE)),
+                _count(one.new_rank == 1 for one in shown),
+                _count(one.rank == 1 for one in shown),
+                _count(bool(one.covered) for one in shown if one.covered is not None),
+                *(_count(one.methods[name] for one in shown) for name in METHODS),
             ]
         )
         placebos.append(f"- {car.name}: {_word_placebo(scores)}")
@@ -304,26 +299,20 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
         f"{'. '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
     values = {
-        "named": f"{_count(every, _is_named)}, as the first new name {_count(every, _is_first)}",
+        "named": (
+            f"{_count(one.rank is not None for one in every)}, as the first new name "
+            f"{_count(one.new_rank == 1 for one in every)}"
+        ),
         "named_on": f"effects of {sizes} of the energy put into drives of {len(cars)} real cars, visible",
     }
     title = f"What the diagnosis of a model of the recipe `{DIAGNOSED}` names without an added effect:"
     return [note, "", *write_table(heads, rows), "", title, "", *placebos], values
 
 
-def _is_named(one: SpikeScore) -> bool:
-    """Return whether an effect is named."""
-    return one.rank is not None
-
-
-def _is_first(one: SpikeScore) -> bool:
-    """Return whether an effect is the first name that the placebo does not have."""
-    return one.new_rank == 1
-
-
-def _count(scores: Sequence[SpikeScore], belongs: Callable[[SpikeScore], bool]) -> str:
-    """Return how many scores belong to a group, of all."""
-    return f"{sum(map(belongs, scores))} of {len(scores)}"
+def _count(holds: Iterable[bool]) -> str:
+    """Return of how many cases something holds."""
+    cases = list(holds)
+    return f"{sum(cases)} of {len(cases)}"
 
 
 def _word_placebo(scores: SpikeScores) -> str:

@@ -7,17 +7,14 @@ four cars from a date on. The model is fitted once, to the rides without a hidde
 Example: python -m socast.tools.bench.siblings --seeds 320-335 --keep build/siblings --publish
 """
 
-import argparse
-import json
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date, timedelta
-from pathlib import Path
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.deviation_words import MONTH
@@ -27,14 +24,12 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.records import to_json_values
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.error_location import format_share
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.hidden.cases import BARE, Case, SeedData
+from socast.tools.bench.figures.published import NEEDED, keep, make_parser, parse_seeds, publish, write_table
+from socast.tools.bench.hidden.cases import ABSORBED, BARE, Case, SeedData
 from socast.tools.bench.hidden.drives import FLEET, Scope, get_midnight
-from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.hidden.parts import ABSORBED
-from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.hidden.evaluation import Record
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import get_right_names
 from socast.tools.simulator.settings import Hidden
 
 ANY: Final = tuple(effect for effect in EFFECTS if effect not in BARE)
@@ -67,22 +62,14 @@ ABOUT: Final = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, print the shares, and write them to the page."""
-    parser = argparse.ArgumentParser("siblings", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default="320-335", help="seeds, such as 320-335 or 7,9")
-    parser.add_argument("--keep", type=Path, required=True, help="folder for results; those in it are used again")
-    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
-    options = parser.parse_args(arguments)
-    console, records = Console(), list[Record]()
-    options.keep.mkdir(parents=True, exist_ok=True)
+    options = make_parser("siblings", __doc__, seeds="320-335", keep=NEEDED, publish=False).parse_args(arguments)
+    records = list[Record]()
     for seed in parse_seeds(options.seeds):
-        file = options.keep / f"{seed}.json"
-        if not file.exists():
-            with threadpool_limits(1):
-                file.write_text(json.dumps(measure_seed(seed), indent=1) + "\n", encoding="utf-8")
-        records += json.loads(file.read_text(encoding="utf-8"))
-        console.print(f"seed {seed}: {len(records)} data sets")
+        with threadpool_limits(1):
+            records += keep(options.keep / f"{seed}.json", partial(measure_seed, seed))
+        print(f"seed {seed}: {len(records)} data sets")
     lines = tabulate(records)
-    console.print("\n".join(lines), markup=False, highlight=False)
+    print("\n".join(lines))
     if options.publish:
         command = f"python -m socast.tools.bench.siblings --seeds {options.seeds} --keep build/siblings"
         publish("siblings", command, [ABOUT, "", *lines], list_values(records))

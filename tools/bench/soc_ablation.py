@@ -5,7 +5,6 @@ A part is left out by one change of the running program, so that everything else
 Example: python -m socast.tools.bench.soc_ablation --seed 940 --keep build/ablation
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -23,8 +22,9 @@ from socast.core.forecast.learning.car_driver import ConsumptionFactors
 from socast.core.forecast.learning.consumption_terms import TERMS, CoefficientPrior
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
 from socast.core.vehicles import VehicleModel
-from socast.tools.bench.figures.published import publish, write_table
-from socast.tools.bench.soc_forecasts import judge, judge_fleet, read_recording
+from socast.stream.mcap_reader import McapSource
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
+from socast.tools.bench.soc_forecasts import judge, judge_fleet
 
 FLEETS: Final = ("autumn", "autumn-no-shows", "small")
 """Fleets on which parts are left out."""
@@ -107,9 +107,8 @@ def leave_out(part: str) -> Iterator[None]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Judge forecasts without each part, and publish the table."""
-    parser = argparse.ArgumentParser("soc_ablation", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("soc_ablation", __doc__, keep=NEEDED)
     parser.add_argument("--seed", type=int, default=940)
-    parser.add_argument("--keep", type=Path, required=True, help="folder for simulated recordings; used again")
     parser.add_argument("--recording", type=Path, action="append", default=[], help="recording of real cars beside")
     options = parser.parse_args(arguments)
     rows: list[list[str]] = []
@@ -119,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
     for part in ("", *PARTS):
         with leave_out(part):
             errors = [measure(judge_fleet(name, options.seed, 0, options.keep).cases) for name in FLEETS]
-            errors += [measure(judge(path.stem, 0, 0.0, read_recording(path), None).cases) for path in given]
+            errors += [measure(judge(path.stem, 0, 0.0, McapSource(path), None).cases) for path in given]
         whole = whole or errors
         changes = [f"{100.0 * (error / first - 1.0):+.0f} %" for error, first in zip(errors, whole, strict=True)]
         shown = changes if part else [f"{error:.2f}" for error in errors]

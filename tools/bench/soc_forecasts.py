@@ -7,10 +7,9 @@ Wilson's 95 % intervals for as many independent cases as the vehicle-days are wo
 Example: python -m socast.tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep build/soc
 """
 
-import argparse
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -29,15 +28,13 @@ from socast.core.wire.messages import Message
 from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
-from socast.tools.bench.figures.published import write_table
-from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.figures.published import make_parser, parse_seeds, write_json, write_table
 from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
 from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
-from socast.tools.simulator.fleets import get_fleet
 from socast.tools.simulator.preset import load_preset
-from socast.tools.simulator.settings import Simulation
+from socast.tools.simulator.settings import Simulation, get_fleet
 from socast.tools.simulator.truth import Truth
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 
@@ -64,17 +61,14 @@ BLOCK: Final = 4096
 
 def main(arguments: list[str] | None = None) -> None:
     """Judge, and print a line for each goal."""
-    parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("soc_forecasts", __doc__, seeds="1", keep=None, json=None)
     parser.add_argument("--fleet", default="autumn", help=f"parts or fleets, of {', '.join(PARTS)}, all")
-    parser.add_argument("--seeds", default="1", help="seeds, such as 1-3 or 7,9")
     parser.add_argument("--rides", type=int, default=20_000, help="number of rides of the preset")
-    parser.add_argument("--keep", type=Path, help="folder for simulated recordings; those in it are used again")
     parser.add_argument("--recording", type=Path, help="recording to judge instead of fleets")
-    parser.add_argument("--json", type=Path, help="file for the lines")
     options = parser.parse_args(arguments)
     console = Console()
     if options.recording is not None:
-        judged = [judge(options.recording.stem, 0, 0.0, read_recording(options.recording), None)]
+        judged = [judge(options.recording.stem, 0, 0.0, McapSource(options.recording), None)]
     else:
         judged = []
         for seed in parse_seeds(options.seeds):
@@ -84,8 +78,7 @@ def main(arguments: list[str] | None = None) -> None:
                 console.print(f"{fleet}, seed {seed}: {len(one.cases)} forecasts in {one.seconds:.0f} s")
     lines = check_goals(judged)
     console.print("\n".join(tabulate(lines)), markup=False, highlight=False, soft_wrap=True)
-    if options.json is not None:
-        options.json.write_text(json.dumps([line._asdict() for line in lines], indent=1) + "\n", encoding="utf-8")
+    write_json(options.json, [line._asdict() for line in lines])
 
 
 def list_fleets(text: str) -> list[str]:
@@ -116,7 +109,7 @@ def judge_fleet(fleet: str, seed: int, rides: int, keep: Path | None) -> Judged:
                 sink.put(block)
         displays.write_text(json.dumps(truth.displays) + "\n", encoding="utf-8")
     truth.displays = json.loads(displays.read_text(encoding="utf-8"))
-    return judge(fleet, seed, first, read_recording(recording), truth)
+    return judge(fleet, seed, first, McapSource(recording), truth)
 
 
 def make_simulation(fleet: str, seed: int, rides: int) -> Simulation:
@@ -132,13 +125,8 @@ def make_blocks(messages: Iterator[Message]) -> Iterator[list[Message]]:
         yield block
 
 
-def read_recording(path: Path) -> Iterator[Sequence[Message]]:
-    """Yield the messages of a recording."""
-    yield from McapSource(path)
-
-
 def judge(
-    fleet: str, seed: int, first_day_s: float, source: Iterator[Sequence[Message]], truth: Truth | None
+    fleet: str, seed: int, first_day_s: float, source: Iterable[Sequence[Message]], truth: Truth | None
 ) -> Judged:
     """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines."""
     begun = time.perf_counter()

@@ -16,7 +16,7 @@ from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
 from socast.tools.bench.soc_reference import REFERENCE
-from socast.tools.simulator.fleets import COLD_SNAP, FLEETS
+from socast.tools.simulator.settings import COLD_SNAP, FLEETS
 
 MAIN: Final = ("autumn", "small", "preset")
 """Fleets on which settled weather and all days count."""
@@ -38,6 +38,8 @@ NO_CHARGES: Final = FLEETS["autumn"]
 MOST_CHANGE: Final = 0.1
 """Largest change of the forecast of a healthy car through a fault of another. [%]"""
 
+OURS: Final = "soc"
+"""Begins the columns of the forecaster, as the name of a baseline begins its own."""
 COMPARED: Final = ["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
 """Columns of the forecasts that are compared between a fleet with and without faults."""
 
@@ -127,25 +129,16 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
             continue
         where = f"{hours:g} h ahead"
         for baseline, less in ((REGRESSION, 0.20), (REFERENCE, 0.10)):
-            ours, theirs = _both(rows, baseline)
-            yield _less(fleet, f"{where}: MAE against {baseline}", less if goals else None, ours, theirs)
-        known = rows.dropna(subset=list(PERSONS))
-        if len(known):
-            best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
-            what = f"{where}: MAE against best person ({best})"
-            yield _less(fleet, what, 0.40 if goals else None, _error(known, "soc_mean_pct"), _error(known, best))
+            yield _less(fleet, f"{where}: MAE against {baseline}", less if goals else None, *_both(rows, baseline))
+        yield from _beat_persons(fleet, where, 0.40 if goals else None, rows)
         both = rows[rows["regression_p05"].notna()]
         if len(both):
-            scores = _score(both, "soc_p05_pct", "soc_p95_pct"), _score(both, "regression_p05", "regression_p95")
+            scores = _score(both, OURS), _score(both, REGRESSION)
             yield _less(fleet, f"{where}: interval score against regression", 0.25 if goals else None, *scores)
             yield _share(fleet, f"{where}: coverage of regression", None, _held(both, REGRESSION), both)
-            wide = float((both["regression_p95"] - both["regression_p05"]).median())
-            yield Line(fleet, f"{where}: median width of regression", "", f"{wide:.1f}", "")
+            yield _width(fleet, where, both, whose=REGRESSION)
         yield _share(fleet, f"{where}: coverage", (0.88, 0.92), _held(rows), rows)
-        width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
-        most = 9.0 if goals and fleet == "autumn" else None
-        verdict = "" if most is None else _verdict(width <= most)
-        yield Line(fleet, f"{where}: median width", "" if most is None else f"<= {most:g}", f"{width:.1f}", verdict)
+        yield _width(fleet, where, rows, 9.0 if goals and fleet == "autumn" else None)
         yield from _check_bands(fleet, rows, where, goals)
 
 
@@ -154,17 +147,12 @@ def _check_recording(name: str, cases: pd.DataFrame) -> Iterator[Line]:
     for hours in (0.5, 1, AHEAD):
         rows, where = cases[cases["hours"] == hours], f"{hours:g} h ahead"
         for baseline in ("rating", REGRESSION, REFERENCE):
-            ours, theirs = _both(rows, baseline)
-            yield _less(name, f"{where}: MAE against {baseline}", 0.0, ours, theirs)
+            yield _less(name, f"{where}: MAE against {baseline}", 0.0, *_both(rows, baseline))
         if len(rows):
-            yield Line(
-                name, f"{where}: bias", "", f"{float((rows['soc_mean_pct'] - rows['soc_end_pct']).mean()):+.1f}", ""
-            )
+            yield _bias(name, where, rows)
         yield _share(name, f"{where}: coverage", (0.85, 0.93) if hours == 1 else None, _held(rows), rows)
         if len(rows):
-            width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
-            goal, verdict = ("<= 15", _verdict(width <= 15.0)) if hours == 1 else ("", "")
-            yield Line(name, f"{where}: median width", goal, f"{width:.1f}", verdict)
+            yield _width(name, where, rows, 15.0 if hours == 1 else None)
 
 
 def _check_bands(fleet: str, rows: pd.DataFrame, where: str, goals: bool) -> Iterator[Line]:
@@ -216,15 +204,12 @@ def _check_days(fleet: str, judged: Sequence[Judged], cases: pd.DataFrame) -> It
             if len(first):
                 where = f"first day of the {spell}, {name}"
                 yield _share(fleet, f"{where}: coverage", (0.8, 1.0), _held(first), first)
-                bias = float((first["soc_mean_pct"] - first["soc_end_pct"]).mean())
-                yield Line(fleet, f"{where}: bias", "within 5", f"{bias:+.1f}", _verdict(abs(bias) <= 5.0))
-                width = float((first["soc_p95_pct"] - first["soc_p05_pct"]).median())
-                yield Line(fleet, f"{where}: median width", "", f"{width:.1f}", "")
-                if first["regression_p05"].notna().any():
-                    known = first[first["regression_p05"].notna()]
+                yield _bias(fleet, where, first, 5.0)
+                yield _width(fleet, where, first)
+                known = first[first["regression_p05"].notna()]
+                if len(known):
                     yield _share(fleet, f"{where}: coverage of regression", None, _held(known, REGRESSION), known)
-                    off = float((known[REGRESSION] - known["soc_end_pct"]).mean())
-                    yield Line(fleet, f"{where}: bias of regression", "", f"{off:+.1f}", "")
+                    yield _bias(fleet, where, known, whose=REGRESSION)
                 empty = float((first["soc_end_pct"] <= 0.0).mean())
                 yield Line(fleet, f"{where}: share that ended empty", "", f"{100 * empty:.0f} %", "")
     if fleet == "autumn":
@@ -239,15 +224,13 @@ def _check_trouble(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
     ahead = cases[cases["hours"] > 0]
     if fleet in TROUBLES:
         yield _share(fleet, f"{TROUBLES[fleet]}: coverage", (0.85, 1.0), _held(ahead), ahead)
-        ours, theirs = _both(ahead, REGRESSION)
-        yield _less(fleet, f"{TROUBLES[fleet]}: MAE against regression", None, ours, theirs)
+        yield _less(fleet, f"{TROUBLES[fleet]}: MAE against regression", None, *_both(ahead, REGRESSION))
     for fault, name in FAULTY.items() if fleet == "autumn-faults" else ():
         mine = ahead[ahead["fault"] == fault]
         if len(mine):
             line = _share(fleet, f"{name}: coverage", (0.85, 1.0), _held(mine), mine)
             yield line._replace(verdict="missed" if len(mine) < FEWEST_FAULTY else line.verdict)
-            width = float((mine["soc_p95_pct"] - mine["soc_p05_pct"]).median())
-            yield Line(fleet, f"{name}: median width", "", f"{width:.1f}", "")
+            yield _width(fleet, name, mine)
         else:
             yield Line(fleet, f"{name}: coverage", ">= 85 %", "no forecast with an interval", "missed")
 
@@ -262,8 +245,7 @@ def _check_last_legs(fleet: str, legs: pd.DataFrame) -> Iterator[Line]:
     last = last[last["minutes"] >= 30.0]
     if len(last):
         yield _share(fleet, "last leg before a charge: coverage", (0.88, 0.92), _held(last), last)
-        ours, theirs = _both(last, REGRESSION)
-        yield _less(fleet, "last leg before a charge: MAE against regression", 0.20, ours, theirs)
+        yield _less(fleet, "last leg before a charge: MAE against regression", 0.20, *_both(last, REGRESSION))
 
 
 def _check_to_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
@@ -278,11 +260,7 @@ def _check_to_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
         goals = hours == AHEAD
         yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
         yield _less(fleet, f"{where}: MAE against regression", 0.20 if goals else None, *_both(rows, REGRESSION))
-        known = rows.dropna(subset=list(PERSONS))
-        if len(known):
-            best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
-            what = f"{where}: MAE against best person ({best})"
-            yield _less(fleet, what, 0.40 if goals else None, _error(known, "soc_mean_pct"), _error(known, best))
+        yield from _beat_persons(fleet, where, 0.40 if goals else None, rows)
         yield _width(fleet, where, rows)
 
 
@@ -294,20 +272,33 @@ def _check_over_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
             continue
         goals = hours == AHEAD
         yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
-        ours, theirs = _both(rows, "model_mean")
-        yield _less(fleet, f"{where}: MAE against a person (planned charge)", 0.40 if goals else None, ours, theirs)
+        what = f"{where}: MAE against a person (planned charge)"
+        yield _less(fleet, what, 0.40 if goals else None, *_both(rows, "model_mean"))
         yield _width(fleet, where, rows)
 
 
-def _bias(fleet: str, where: str, rows: pd.DataFrame) -> Line:
-    """Return the line of the mean error."""
-    return Line(fleet, f"{where}: bias", "", f"{float((rows['soc_mean_pct'] - rows['soc_end_pct']).mean()):+.1f}", "")
+def _beat_persons(fleet: str, where: str, goal: float | None, rows: pd.DataFrame) -> Iterator[Line]:
+    """Yield the error beside that of the best rule of a person."""
+    known = rows.dropna(subset=list(PERSONS))
+    if len(known):
+        best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
+        yield _less(fleet, f"{where}: MAE against best person ({best})", goal, *_both(known, best))
 
 
-def _width(fleet: str, where: str, rows: pd.DataFrame) -> Line:
-    """Return the line of the median width of intervals."""
-    width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
-    return Line(fleet, f"{where}: median width", "", f"{width:.1f}", "")
+def _bias(fleet: str, where: str, rows: pd.DataFrame, most: float | None = None, whose: str = OURS) -> Line:
+    """Return the line of the mean error. [%]"""
+    mean, of = (rows["soc_mean_pct"], "") if whose == OURS else (rows[whose], f" of {whose}")
+    bias = float((mean - rows["soc_end_pct"]).mean())
+    goal, verdict = ("", "") if most is None else (f"within {most:g}", _verdict(abs(bias) <= most))
+    return Line(fleet, f"{where}: bias{of}", goal, f"{bias:+.1f}", verdict)
+
+
+def _width(fleet: str, where: str, rows: pd.DataFrame, most: float | None = None, whose: str = OURS) -> Line:
+    """Return the line of the median width of intervals. [%]"""
+    low, high = _find_ends(rows, whose)
+    width, of = float((high - low).median()), "" if whose == OURS else f" of {whose}"
+    goal, verdict = ("", "") if most is None else (f"<= {most:g}", _verdict(width <= most))
+    return Line(fleet, f"{where}: median width{of}", goal, f"{width:.1f}", verdict)
 
 
 def _check_bounds(fleet: str, judged: Sequence[Judged]) -> Line:
@@ -353,16 +344,20 @@ def _both(rows: pd.DataFrame, name: str) -> tuple[Floats, Floats]:
     return _error(known, "soc_mean_pct"), _error(known, name)
 
 
-def _score(rows: pd.DataFrame, low: str, high: str) -> Floats:
-    columns: list[Any] = [rows[name].to_numpy(np.float64) for name in (low, high, "soc_end_pct")]
+def _find_ends(rows: pd.DataFrame, whose: str = OURS) -> tuple[Any, Any]:
+    """Return the ends of the intervals of the forecasts, or of a baseline. [%]"""
+    unit = "_pct" if whose == OURS else ""
+    return rows[f"{whose}_p05{unit}"], rows[f"{whose}_p95{unit}"]
+
+
+def _score(rows: pd.DataFrame, whose: str) -> Floats:
+    columns: list[Any] = [each.to_numpy(np.float64) for each in (*_find_ends(rows, whose), rows["soc_end_pct"])]
     return compute_interval_score(*columns)
 
 
-def _held(rows: pd.DataFrame, whose: str = "soc") -> Any:
+def _held(rows: pd.DataFrame, whose: str = OURS) -> Any:
     """Return whether the outcome is inside the interval."""
-    unit = "_pct" if whose == "soc" else ""
-    became = rows["soc_end_pct"]
-    return ((rows[f"{whose}_p05{unit}"] <= became) & (became <= rows[f"{whose}_p95{unit}"])).to_numpy(bool)
+    return rows["soc_end_pct"].between(*_find_ends(rows, whose)).to_numpy(bool)
 
 
 def _share(fleet: str, what: str, goal: tuple[float, float] | None, holds: Any, rows: pd.DataFrame) -> Line:

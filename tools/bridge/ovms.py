@@ -20,8 +20,7 @@ from typing import Any, Final
 from socast.core.errors import SettingsError
 from socast.stream.mqtt_source import MOST_TAKEN, MqttMessage, MqttSource, Ticket
 from socast.stream.structured_log import event_fields
-from socast.tools.bridge.row_assembler import RowAssembler, Value
-from socast.tools.bridge.signals import FIX, Signal, parse_number, read_signals
+from socast.tools.bridge.row_assembler import FIX, RowAssembler, Signal, Value, parse_number, read_signals
 
 TOPICS: Final = "ovms"
 """Default first levels of all topics."""

@@ -20,8 +20,7 @@ import msgspec
 from socast.core.errors import SettingsError
 from socast.core.wire.messages import IDENTITY
 from socast.stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
-from socast.tools.bridge.row_assembler import RowAssembler, Value
-from socast.tools.bridge.signals import Signal, make_signal, parse_number, read_signals
+from socast.tools.bridge.row_assembler import RowAssembler, Signal, Value, make_signal, parse_number, read_signals
 
 NEWEST: Final = 6
 """Default major version of VSS."""

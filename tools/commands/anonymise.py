@@ -19,9 +19,8 @@ from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import replace_recording
 from socast.stream.recording_metadata import make_metadata
 from socast.stream.source import merge_sources
-from socast.tools.anonymise.disguise import keeps_days, make_disguise
+from socast.tools.anonymise.disguise import find_centre, keeps_days, make_disguise
 from socast.tools.anonymise.message_rewriter import MessageRewriter
-from socast.tools.anonymise.sphere_map import find_centre
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 

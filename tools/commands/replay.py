@@ -31,8 +31,7 @@ from socast.stream.source import Sink, Source, merge_sources, pace_source, stop_
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_delivery import ZenohDelivery
 from socast.stream.zenoh_session import Connection, Node, parse_prefix
-from socast.tools.foxglove.recording import FoxgloveRecording
-from socast.tools.foxglove.schemas import SCHEMAS
+from socast.tools.foxglove.topics import SCHEMAS, FoxgloveRecording
 from socast.tools.terminal.elevation_option import warn_outside
 from socast.tools.terminal.forecast_options import (
     ForecastOptions,

@@ -9,10 +9,9 @@ import typer
 from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
-from socast.tools.security.access import CONSUMER, GATEWAY
+from socast.tools.security.access import CONSUMER, GATEWAY, PORT
 from socast.tools.security.certificates import Issued, now_utc
 from socast.tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
-from socast.tools.security.zenoh_settings import PORT
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.rich_table import Column, make_table
 

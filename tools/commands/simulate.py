@@ -12,22 +12,22 @@ from socast.core.formatting import format_count
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.simulation import write_recording
 from socast.tools.cluster.workers import open_workers
-from socast.tools.simulator.bent_shapes import BENT
 from socast.tools.simulator.conditions import CONDITION_NAMES, parse_conditions
 from socast.tools.simulator.fleet import prepare_fleet
-from socast.tools.simulator.fleets import FLEETS, get_fleet
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.simulator.hidden_shapes import BENT, OTHER
 from socast.tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
 from socast.tools.simulator.settings import (
     CHARGING,
     DEFAULT_MODELS,
     DEFAULT_RIDES,
+    FLEETS,
     LOW,
     NIGHT,
     Faults,
     Phenomena,
     Simulation,
+    get_fleet,
     parse_faults,
     parse_hidden,
     parse_models,

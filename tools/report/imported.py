@@ -7,9 +7,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from socast.core.vehicles import load_catalogue
+from socast.tools.importers.table.agreement import estimate_capacity
 from socast.tools.importers.table.agreement_sums import CarSums
-from socast.tools.importers.table.import_summary import ImportSummary, list_lines
-from socast.tools.importers.table.sign_evidence import estimate_capacity
+from socast.tools.importers.table.conversion import ImportSummary, list_lines
 from socast.tools.report.cells import Cell, ReportTable, Row
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.sections import Section

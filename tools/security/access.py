@@ -12,9 +12,13 @@ The module allows for this observed behaviour of zenoh 1.10:
   sender's Zenoh identifier. The router therefore shows caches only to those who may read them.
 """
 
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+
+from socast.stream.zenoh_session import limit_sizes
+from socast.tools.security.certificates import Credential
 
 CONSUMER: Final = "socast consumer"
 """Name of the identity that forecasts; the blank keeps it apart from any car."""
@@ -24,6 +28,10 @@ WEATHER: Final = "socast weather"
 """Name of the identity that observes the weather."""
 GATEWAY: Final = "gateway "
 """Begin of the name of a gateway's identity; the blank keeps it apart from any car."""
+PORT: Final = 7447
+"""Default port of a Zenoh router."""
+LARGEST_BYTES: Final = 8_000_000
+"""Size of a payload above which the router drops it. [B]"""
 
 
 @dataclass(frozen=True)
@@ -152,3 +160,48 @@ def _make_rules(name: str, access: Access, prefix: str) -> Iterable[dict[str, An
                     "permission": "allow",
                     "key_exprs": list(of_messages),
                 }
+
+
+def make_router_settings(
+    credential: Credential, authority: str, port: int, access_control: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the configuration of the router, for `zenohd` or for `socast live` with its embedded router."""
+    settings = _make_settings("router", make_tls("listen", credential, authority))
+    settings["listen"] = {"endpoints": [f"tls/0.0.0.0:{port}"]}
+    settings["timestamping"] = {"enabled": False}
+    settings["adminspace"] = {"enabled": False}
+    settings["low_pass_filter"] = [limit_sizes(LARGEST_BYTES)]
+    return settings | {"access_control": access_control}
+
+
+def make_client_settings(credential: Credential, authority: str, hosts: Sequence[str], port: int) -> dict[str, Any]:
+    """Return the configuration of a client of the router."""
+    settings = _make_settings("client", make_tls("connect", credential, authority))
+    ends = [f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}" for host in hosts]
+    return settings | {"connect": {"endpoints": ends}}
+
+
+def make_tls(side: str, credential: Credential, authority: str) -> dict[str, Any]:
+    """Return the setting `transport/link/tls`."""
+    return {
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        "root_ca_certificate_base64": _encode(authority),
+        f"{side}_certificate_base64": _encode(credential.certificate),
+        f"{side}_private_key_base64": _encode(credential.key),
+    }
+
+
+def _make_settings(mode: str, tls: dict[str, Any]) -> dict[str, Any]:
+    """Return what all nodes have in common: only TLS, and no discovery."""
+    return {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {"link": {"protocols": ["tls"], "tls": tls}},
+    }
+
+
+def _encode(text: str) -> str:
+    """Return text in base64."""
+    return b64encode(text.encode()).decode()

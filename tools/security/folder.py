@@ -16,9 +16,18 @@ from typing import Any, Final
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.files import replacing
 from socast.stream.zenoh_session import parse_prefix
-from socast.tools.security.access import CONSUMER, DISPATCH, GATEWAY, SERVICES, WEATHER, make_access_control
+from socast.tools.security.access import (
+    CONSUMER,
+    DISPATCH,
+    GATEWAY,
+    SERVICES,
+    WEATHER,
+    make_access_control,
+    make_client_settings,
+    make_router_settings,
+    make_tls,
+)
 from socast.tools.security.certificates import Authority, Credential, Issued, now_utc, read_certificate
-from socast.tools.security.zenoh_settings import make_client_settings, make_router_settings, make_tls
 
 ROUTER: Final = "socast router"
 """Name of the identity of the router."""

@@ -5,6 +5,7 @@ Each is a switch of its own and is off by default, so that a simulation without 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from socast.core.errors import SettingsError
@@ -148,24 +149,18 @@ class Conditions:
 NO_CONDITIONS: Final = Conditions()
 
 
-def _spell(text: str) -> Spell:
-    day, kelvin, days = text.split(":")
-    return Spell(int(day), float(kelvin), int(days))
-
-
-def _display_fault(text: str) -> DisplayFault:
-    car, kind, day, days = text.split(":")
-    return DisplayFault(int(car), kind, int(day), int(days))
-
-
-def _newcomers(text: str) -> Newcomers:
-    cars, day = text.split(":")
-    return Newcomers(int(cars), int(day))
+def _parse(record: Any, text: str) -> Any:
+    """Return a record whose fields are divided by colons."""
+    return record(*(kind(part) for kind, part in zip(record.__annotations__.values(), text.split(":"), strict=True)))
 
 
 _PARTS: Final[dict[str, tuple[str, Callable[[str], Any], str]]] = {
-    "spell": ("spells", _spell, "spell=30:-15:3, a day, kelvins and days"),
-    "display_fault": ("display_faults", _display_fault, "display_fault=2:frozen:10:5, a car, a kind, a day and days"),
+    "spell": ("spells", partial(_parse, Spell), "spell=30:-15:3, a day, kelvins and days"),
+    "display_fault": (
+        "display_faults",
+        partial(_parse, DisplayFault),
+        "display_fault=2:frozen:10:5, a car, a kind, a day and days",
+    ),
     "battery_size": ("battery_sizes", float, "battery_size=24"),
     "period": ("periods", float, "period=10"),
 }
@@ -205,7 +200,7 @@ def _add(base: Conditions, name: str, value: str) -> Conditions:
         field, parse, _ = _PARTS[name]
         change = {field: (*getattr(base, field), parse(value))}
     elif name == "newcomers":
-        change = {name: _newcomers(value)}
+        change = {name: _parse(Newcomers, value)}
     elif isinstance(getattr(base, name), bool):
         if value:
             raise SettingsError(f"condition {name} has value {value!r}; write it without a value")

@@ -12,13 +12,13 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.wire.messages import Message
-from socast.tools.simulator import calibration, displays, habits, physics
+from socast.tools.simulator import displays, habits, physics
 from socast.tools.simulator import preset as presets
 from socast.tools.simulator.cars import Car, make_car
 from socast.tools.simulator.conditions import NO_CONDITIONS
 from socast.tools.simulator.dispatch import make_dispatch
 from socast.tools.simulator.hidden import EffectInputs
-from socast.tools.simulator.hidden_shapes import get_power
+from socast.tools.simulator.hidden_shapes import calibrate_effects, check_effects, get_power, sum_energies
 from socast.tools.simulator.logger import Equipment, log_shift, make_equipment
 from socast.tools.simulator.preset import Fleet, PlannedCar, PlannedShift
 from socast.tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
@@ -111,7 +111,7 @@ def simulate(simulation: Simulation, truth: Truth | None = None) -> Iterator[Mes
 
 def prepare_fleet(simulation: Simulation) -> PreparedFleet:
     """Draw the cars and the weather, and calibrate the hidden effects."""
-    calibration.check_effects(simulation.hidden)
+    check_effects(simulation.hidden)
     members, sky = make_members(simulation), make_fleet_sky(simulation)
     return PreparedFleet(simulation, members, sky, tuple(_factors(simulation, members, sky)))
 
@@ -184,8 +184,8 @@ def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[
     for index in spread:
         member, number = all_of[index]
         driven = drive_shift(simulation, member, number, sky)
-        pilot.append(calibration.sum_energies(driven.view, driven.shift.timeline.ride, simulation.hidden))
-    return calibration.calibrate_effects(pilot, simulation.hidden)
+        pilot.append(sum_energies(driven.view, driven.shift.timeline.ride, simulation.hidden))
+    return calibrate_effects(pilot, simulation.hidden)
 
 
 def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky) -> DrivenShift:
@@ -272,7 +272,7 @@ def _shift_messages(
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
         hidden = sum((factor * get_power(effect)(view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
-        energies = calibration.sum_energies(view, shift.timeline.ride, simulation.hidden)
+        energies = sum_energies(view, shift.timeline.ride, simulation.hidden)
         energies = energies._replace(effects=energies.effects * factors)
         state = physics.integrate_states(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
     messages, reading, faults = make_car_messages(

@@ -1,17 +1,20 @@
 """Define the effects of `hidden` in other shapes, to test a library of textbook forms on the same phenomena.
 
 The option `--hidden cold_rolling~other` selects the other shape of `cold_rolling`. The effects of `hidden` are mostly
-linear; these bend, saturate, step, lag or depend on additional quantities.
+linear; these bend, saturate, step, lag or depend on additional quantities. `--hidden snow~bent7` selects the seventh
+bent shape of `snow`: its power raised to an exponent, multiplied by a power of the speed and by an exponential of the
+outside temperature, and delayed if it does not act by motion.
 """
 
-from typing import Final
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.columns import GRAVITY, ZERO_CELSIUS
 from socast.core.errors import SettingsError
-from socast.tools.simulator.bent_shapes import BENT, bend_shape
 from socast.tools.simulator.hidden import (
     EFFECTS,
     EffectInputs,
@@ -21,8 +24,39 @@ from socast.tools.simulator.hidden import (
     compute_rolling_power,
 )
 from socast.tools.simulator.physics import COMFORT, PERSON, WHEEL
+from socast.tools.simulator.settings import STEP, Hidden
+from socast.tools.simulator.shift import NO_RIDE
 from socast.tools.simulator.trace import REFERENCE_DENSITY
 
+BENT: Final = "~bent"
+"""Text between the name of an effect and the number of its bent shape."""
+DELAYED: Final = frozenset(
+    {
+        "cabin_cooling",
+        "cabin_heating",
+        "cabin_warmup",
+        "cold_battery_heating",
+        "door_heat_loss",
+        "humidity",
+        "night_lights",
+        "solar_load",
+    }
+)
+"""Effects that act by time, whose bent shape may lag."""
+EXPONENT: Final = 0.45
+"""Largest absolute logarithm of the exponent. [1]"""
+SPEED: Final = 0.35
+"""Largest absolute exponent of the speed. [1]"""
+TEMPERATURE: Final = 0.35
+"""Largest absolute change of the logarithm over 20 K. [1]"""
+LAG: Final = (20.0, 400.0)
+"""Range of time constants, whose logarithm is uniform. [s]"""
+LAGGED: Final = 0.5
+"""Share of the bent shapes of `DELAYED` that lag."""
+POWER: Final = 500.0
+"""Power that an exponent does not change. [W]"""
+PACE: Final = 12.0
+"""Speed that the exponent of the speed does not change; half of it is the least speed that counts. [m/s]"""
 OTHER: Final = "~other"
 """Suffix of the name of an effect that selects its other shape."""
 OTHER_SHAPES: Final[dict[str, PowerFunction]] = {}
@@ -33,6 +67,38 @@ ROOM_TEMPERATURE: Final = 20.0
 """Temperature at which the drag of air equals that of the base. [°C]"""
 REYNOLDS: Final = 0.1
 """Exponent by which the drag coefficient falls with Reynolds number. [1]"""
+RIGHT_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "drivetrain_loss": ("drivetrain_loss_power", "drivetrain_loss_torque", "drivetrain_loss_speed"),
+        "humidity": ("humidity", "demisting"),
+    }
+)
+"""Right names where the library has another name for a cause than the simulator, or several names.
+
+`drivetrain_loss`: the loss of the simulator grows with the square of the power at the wheels. The library has one
+effect that grows with the square of the power, one with the square of the force and one with that of the speed.
+Together they make up the loss. `humidity`: the effect of the simulator is the drying of damp air, by relative humidity.
+The library calls that `demisting`, and calls the latent load of cooling, by vapour pressure, `humidity`. Both dry air.
+"""
+
+
+def bend_shape(effect: str, number: int) -> PowerFunction:
+    """Return the power of an effect in a bent shape."""
+    power = EFFECTS[effect]
+    rng = np.random.default_rng([number, *effect.encode()])
+    exponent = float(np.exp(rng.uniform(-EXPONENT, EXPONENT)))
+    speed, temperature = float(rng.uniform(-SPEED, SPEED)), float(rng.uniform(-TEMPERATURE, TEMPERATURE))
+    lag = float(np.exp(rng.uniform(*np.log(LAG)))) if effect in DELAYED and rng.uniform() < LAGGED else 0.0
+
+    def bent(view: EffectInputs) -> Floats:
+        """Return the power of the bent effect. [W]"""
+        plain = power(view)
+        out = np.sign(plain) * POWER * (np.abs(plain) / POWER) ** exponent
+        out = out * (np.maximum(view.trace.speed, PACE / 2.0) / PACE) ** speed
+        out = out * np.exp(temperature * view.trace.ambient / 20.0)
+        return np.asarray(apply_lag(out, lag) * view.trace.on if lag else out)
+
+    return bent
 
 
 def register_other_shape(function: PowerFunction) -> PowerFunction:
@@ -246,3 +312,59 @@ def get_power(effect: str) -> PowerFunction:
 def strip_shape(effect: str) -> str:
     """Return the name of an effect without its shape."""
     return effect.partition(BENT)[0].removesuffix(OTHER)
+
+
+def get_right_names(effect: str) -> tuple[str, ...]:
+    """Return the effects of the library that are right names for a hidden effect."""
+    return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))
+
+
+class EffectEnergies(NamedTuple):
+    """Hold the energies of rides.
+
+    Parameters
+    ----------
+    battery : (rides,) float
+        Energy at the terminals of the battery, without hidden effects. [J]
+    effects : (rides, effects) float
+        Energy of each hidden effect at natural size. [J]
+    """
+
+    battery: Floats
+    effects: Floats
+
+
+def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> EffectEnergies:
+    """Return the energies of the rides of a shift."""
+    powers = [view.state.parts.sum(axis=1), *(get_power(effect)(view) for effect, _ in hidden)]
+    inside = ride != NO_RIDE
+    sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
+    return EffectEnergies(sums[0], np.stack(sums[1:], axis=1))
+
+
+def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -> list[float]:
+    """Return the factor by which the power of each effect is multiplied.
+
+    Notes
+    -----
+    The size of an effect is the sum of its absolute energy over all rides, divided by the energy of all rides with
+    hidden effects. For an effect that always costs energy the size equals its share of the energy.
+    """
+    battery = float(np.concatenate([energies.battery for energies in pilot]).sum())
+    effects = np.concatenate([energies.effects for energies in pilot])
+    absolute, signed = np.abs(effects).sum(axis=0), effects.sum(axis=0)
+    for (effect, size), energy in zip(hidden, absolute, strict=True):
+        if energy < 1e-5 * battery:
+            raise SettingsError(
+                f"hidden effect {effect} uses {energy / battery:.1e} of the energy in this season, too little "
+                f"to make it {size:g}; choose other dates or another effect"
+            )
+    sizes = np.array([size for _, size in hidden])
+    total = battery / (1 - float((sizes * signed / absolute).sum()))
+    return [float(factor) for factor in sizes * total / absolute]
+
+
+def check_effects(hidden: tuple[Hidden, ...]) -> None:
+    """Raise an error if an effect does not exist."""
+    for effect, _ in hidden:
+        get_power(effect)

@@ -12,10 +12,10 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.errors import SettingsError
 from socast.core.files import write_whole
-from socast.tools.simulator.calibration import EffectEnergies
 from socast.tools.simulator.car_files import ShiftTruth
 from socast.tools.simulator.cars import Car
 from socast.tools.simulator.conditions import NO_CONDITIONS
+from socast.tools.simulator.hidden_shapes import EffectEnergies
 from socast.tools.simulator.logger import Equipment
 from socast.tools.simulator.physics import PARTS, State
 from socast.tools.simulator.settings import PERIOD, PRESET_SETTINGS, STEP, Simulation

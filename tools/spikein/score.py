@@ -35,7 +35,7 @@ from socast.core.stats.clustered import compute_wilson_interval
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate
 from socast.stream.mcap_reader import McapSource
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import get_right_names
 from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import NEEDS_WEATHER, write_spiked
 from socast.tools.spikein.records import VISIBLE, FoundShare, PlaceboName, SpikeScore, SpikeScores

@@ -9,7 +9,7 @@ from socast.core.batch import Floats, Lanes
 from socast.core.columns import KMH
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
-from socast.tools.importers.table.power_span import ONE_SIDED, measure_span
+from socast.tools.importers.table.row_messages import ONE_SIDED, measure_span
 
 MOST_SAMPLES: Final = 5000
 """Samples of a car by which its power is judged."""

@@ -10,15 +10,25 @@ from socast.core.files import write_whole
 from socast.stream.mcap_format import RECORDING
 from socast.stream.recording_metadata import INVENTED
 from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
-from socast.tools.importers.table.conversion import convert_tables, open_readable, open_tables
-from socast.tools.importers.table.guess import guess_map
-from socast.tools.importers.table.import_summary import describe_missing, print_summary
-from socast.tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
+from socast.tools.importers.table.conversion import (
+    convert_tables,
+    describe_missing,
+    open_readable,
+    open_tables,
+    print_summary,
+)
+from socast.tools.importers.table.guess import (
+    describe_preset,
+    describe_unread,
+    guess_map,
+    make_guess_table,
+    write_map_text,
+)
 from socast.tools.importers.table.presets import Preset, get_preset
 from socast.tools.importers.table.sampling import Sampling, find_holds
-from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import KINDS, list_tables
-from socast.tools.importers.table.time_source import TimeSource
+from socast.tools.importers.table.text_stream import SkippedFiles
+from socast.tools.importers.table.time_words import TimeSource
 from socast.tools.importers.table.weather_file import read_weather_file
 from socast.tools.terminal.output import check_outputs, make_console
 

@@ -31,7 +31,7 @@ DAY_ENERGY: Final = 40.0
 """Energies that pull the factors of a car and of a day towards 1. [kWh]
 
 They and `RIDGE` make the regression about as good as it gets on the fleets `autumn` and `autumn-short` with seed 1 and
-`small` with seeds 1 and 2 (see `socast.tools.simulator.fleets`).
+`small` with seeds 1 and 2 (see `socast.tools.simulator.settings`).
 """
 DAY_FACTOR: Final = (0.5, 2.0)
 """Limits of the factor of a day. [1]"""

@@ -12,7 +12,7 @@ import pytest
 from socast.core.pipeline import Pipeline
 from socast.core.wire.arrow_batch import PREFIX, read_rows, write_rows
 from socast.core.wire.messages import Message, Telemetry
-from socast.tools.anonymise import batch_rewriter
+from socast.tools.anonymise import message_rewriter
 from socast.tools.anonymise.disguise import make_disguise
 from socast.tools.anonymise.message_rewriter import MessageRewriter
 from tests.support.batched_recordings import GATEWAY, make_batch
@@ -177,8 +177,8 @@ def test_batch_that_cannot_be_used_is_dropped_and_counted_by_cause(rewriter, pay
 
 def test_batch_that_is_too_large_is_dropped_and_counted(rewriter, monkeypatch):
     message = make_batch([{"vehicle_id": "a", "time_s": START}])
-    limits = batch_rewriter.LIMITS._replace(payload_bytes=len(message.payload) - 1)
-    monkeypatch.setattr(batch_rewriter, "LIMITS", limits)
+    limits = message_rewriter.LIMITS._replace(payload_bytes=len(message.payload) - 1)
+    monkeypatch.setattr(message_rewriter, "LIMITS", limits)
     assert rewriter.rewrite(message) is None
     assert rewriter.dropped == {"batches too large": 1}
 

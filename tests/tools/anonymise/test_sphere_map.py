@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.tools.anonymise.sphere_map import INVALID, find_centre, make_sphere_map, to_vector
+from socast.tools.anonymise.disguise import INVALID, find_centre, make_sphere_map, to_vector
 
 LATITUDES, LONGITUDES = st.floats(-89.0, 89.0), st.floats(-180.0, 180.0)
 PLACES = st.tuples(LATITUDES, LONGITUDES)

@@ -16,16 +16,14 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.core.wire.messages import Telemetry, Weather, encode
-from socast.tools.bench.hidden.cases import Case
+from socast.tools.bench.hidden.cases import ABSORBED, FRESH, PARTS, Case, Selection, draw_sample
 from socast.tools.bench.hidden.drives import FLEET, Scope, simulate_drives
 from socast.tools.bench.hidden.evaluation import compute_errors, compute_true_energy, evaluate_case, predict_held_out
-from socast.tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
 from socast.tools.bench.hidden.recording import add_weather_noise, record_drives
 from socast.tools.bench.hidden.running import make_tasks, run_cases
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
-from socast.tools.simulator.right_names import RIGHT_NAMES, get_right_names
+from socast.tools.simulator.hidden_shapes import OTHER_SHAPES, RIGHT_NAMES, get_right_names, strip_shape
 from socast.tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 from tests.support.diagnosed_names import make_name, make_result
 

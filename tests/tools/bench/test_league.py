@@ -7,10 +7,10 @@ import pytest
 
 from socast.tools.bench.league import __main__ as league
 from socast.tools.bench.league.drives import JOULES, STEP, make_track
-from socast.tools.bench.league.fault import are_compatible
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import choose_faults, list_fleets, make_entry, tabulate, write_stream
 from socast.tools.bench.league.laws import ODD, REPAIRED, RIGHT, UNFIT, WRONG, judge
+from socast.tools.bench.league.loggers import are_compatible
 
 SEED, CAR = 11, 1
 

@@ -12,7 +12,7 @@ from socast.tools.bench import soc_forecasts, soc_goals
 from socast.tools.bench.soc_forecasts import list_fleets, main
 from socast.tools.bench.soc_goals import Judged
 from socast.tools.simulator.conditions import ABSENT, Conditions, DisplayFault
-from socast.tools.simulator.fleets import get_fleet
+from socast.tools.simulator.settings import get_fleet
 
 
 @pytest.fixture

@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from socast.tools.bridge.row_assembler import HOLD_S, MOST_VEHICLES, RowAssembler, Value
-from socast.tools.bridge.signals import FIX
+from socast.tools.bridge.row_assembler import FIX, HOLD_S, MOST_VEHICLES, RowAssembler, Value
 from socast.tools.importers.table.units import POWER
 
 NOW = 1_700_000_000.0

@@ -12,8 +12,7 @@ from socast.core.wire.messages import KINDS, Message
 from socast.core.wire.schema import make_schema
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
-from socast.tools.foxglove.layout import MOST_CARS, make_layout
-from socast.tools.foxglove.schemas import SCHEMAS
+from socast.tools.foxglove.topics import MOST_CARS, SCHEMAS, make_layout
 from tests.support.commands import called, refused
 from tests.support.mcap_recordings import make_telemetry, read_recording, write_recording
 from tests.support.recorded_shift import shift

@@ -7,8 +7,7 @@ import msgspec
 import pytest
 
 from socast.core.wire.messages import Cause, Finding, Forecast, Message, QualityCounts, Telemetry, encode
-from socast.tools.foxglove.schemas import ERROR, INFO, SCHEMAS, WARNING
-from socast.tools.foxglove.topics import ViewerTopics
+from socast.tools.foxglove.topics import ERROR, INFO, SCHEMAS, WARNING, ViewerTopics
 from tests.support.batched_recordings import make_batch
 
 NONE = QualityCounts(0, 0, 0, 0, 0)

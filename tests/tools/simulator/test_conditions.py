@@ -24,8 +24,7 @@ from socast.tools.simulator.conditions import (
 )
 from socast.tools.simulator.displays import spoil_display
 from socast.tools.simulator.fleet import make_members
-from socast.tools.simulator.fleets import FLEETS, get_fleet
-from socast.tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, Simulation
+from socast.tools.simulator.settings import ALL_PHENOMENA, FLEETS, NO_FAULTS, Simulation, get_fleet
 from socast.tools.simulator.weather import make_sky
 from tests.support.simulated import decode_samples, run_simulation
 

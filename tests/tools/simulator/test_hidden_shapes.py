@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from socast.core.errors import SettingsError
-from socast.tools.simulator.bent_shapes import BENT
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.hidden import EFFECTS, EffectInputs
-from socast.tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, get_power
+from socast.tools.simulator.hidden_shapes import BENT, OTHER, OTHER_SHAPES, get_power
 from socast.tools.simulator.settings import Hidden
 from tests.support.simulated import SMALL, SUMMER, WINTER, drive_one_shift, run_simulation
 

@@ -3,7 +3,6 @@
 Example: python -m socast.tools.bench.figures --only speed,league
 """
 
-import argparse
 import subprocess
 import sys
 import time
@@ -12,7 +11,7 @@ from typing import Final, NamedTuple
 
 from rich.console import Console
 
-from socast.tools.bench.figures.published import ROOT, write_pages
+from socast.tools.bench.figures.published import ROOT, make_parser, write_pages
 
 
 class Measurement(NamedTuple):
@@ -68,14 +67,11 @@ MEASUREMENTS: Final = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what was asked for, and write the pages; return 1 if a measurement fails."""
-    parser = argparse.ArgumentParser("figures", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("figures", __doc__, ved=None, i3=None, model3=None)
     parser.add_argument("--only", default=",".join(MEASUREMENTS), help="measurements, separated by commas")
     parser.add_argument("--render", action="store_true", help="measure nothing, write the pages from what is kept")
-    parser.add_argument("--ved", help="folder with the files of the Vehicle Energy Dataset, for real drives")
-    parser.add_argument("--i3", help="folder with the drives of the BMW i3, for real drives")
-    parser.add_argument("--model3", help="folder with the drives of the Tesla Model 3, for real cars")
     given = parser.parse_args(arguments)
-    folders = [word for name in ("ved", "i3", "model3") if (path := vars(given)[name]) for word in (f"--{name}", path)]
+    folders = [f"--{name}={path}" for name in ("ved", "i3", "model3") if (path := vars(given)[name])]
     names = [] if given.render else [name for name in given.only.replace(" ", ",").split(",") if name]
     if unknown := sorted(set(names) - set(MEASUREMENTS)):
         print(f"{unknown[0]} is no measurement; choose from {', '.join(MEASUREMENTS)}", file=sys.stderr)
@@ -83,11 +79,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console, failed = Console(), []
     for name in names:
         measurement = MEASUREMENTS[name]
-        if name == "real-cars" and len(folders) < 2 * REAL_FOLDERS:
+        if name == "real-cars" and len(folders) < REAL_FOLDERS:
             console.print("real-cars: left out; it takes --ved, --i3 and --model3", highlight=False)
             continue
         real = folders if name == "real-cars" else []
-        real = folders[:4] if name in TWO_FOLDERS and given.ved and given.i3 else real
+        real = folders[:2] if name in TWO_FOLDERS and given.ved and given.i3 else real
         console.print(f"{name}: about {measurement.minutes} min", highlight=False)
         began = time.monotonic()
         words = [sys.executable, "-m", *measurement.words, *real]

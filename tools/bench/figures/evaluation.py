@@ -7,17 +7,13 @@ of their files they are not measured, and what was published about them stays.
 Example: python -m socast.tools.bench.figures.evaluation --keep build/evaluation --ved ved/ --i3 i3/
 """
 
-import argparse
 import json
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from socast.core.errors import SocastError
 from socast.core.formatting import format_minus
-from socast.tools.bench.figures.published import publish, write_table
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish, run_command, write_table
 
 SEEDS: Final = 241, 242
 """Seeds of the simulated fleets."""
@@ -50,11 +46,7 @@ Report = Mapping[str, Any]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and publish."""
-    parser = argparse.ArgumentParser("evaluation", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--keep", type=Path, required=True, help="folder for recordings and reports; used again")
-    parser.add_argument("--ved", type=Path, help="folder with the files of the Vehicle Energy Dataset")
-    parser.add_argument("--i3", type=Path, help="folder with the drives of the BMW i3")
-    given = parser.parse_args(arguments)
+    given = make_parser("figures.evaluation", __doc__, keep=NEEDED, ved=None, i3=None).parse_args(arguments)
     given.keep.mkdir(parents=True, exist_ok=True)
     fleets = {seed: evaluate_fleet(given.keep, seed) for seed in SEEDS}
     command = "python -m socast.tools.bench.figures.evaluation --keep build/evaluation"
@@ -106,7 +98,11 @@ def list_fleet_lines(fleets: Mapping[int, Report]) -> list[str]:
             relative = [_with_interval(errors[name], 1, percent=True) for name in ("wmape", "mape")]
             rows.append([f"`{recipe}`", *below, _with_interval(errors["mae_kwh"], 3), *relative])
         heads = ["recipe", *(f"below {name}" for name in BASELINES.values()), "MAE, kWh", "wMAPE", "MAPE"]
-        by_split = [[f"`{recipe}`", *_list_splits(report, recipe)] for recipe in RECIPES]
+        of_splits = [report["percentage"][split]["recipes"] for split in SPLITS]
+        by_split = [
+            [f"`{recipe}`", *(_with_interval(each[recipe]["wmape"], 1, percent=True) for each in of_splits)]
+            for recipe in RECIPES
+        ]
         lines += [*write_table(heads, rows), "", *write_table([f"wMAPE, seed {seed}", *SPLITS.values()], by_split)]
         inside = report["coverage"][BEST]
         lines += [
@@ -171,13 +167,6 @@ def list_car_values(cars: Mapping[str, Report]) -> dict[str, str]:
     return {"wmape": "; ".join(told), "wmape_on": f"`{best}`, {rides} real rides of two cars, unseen rides"}
 
 
-def _list_splits(report: Report, recipe: str) -> list[str]:
-    """Return the wMAPE of a recipe by split."""
-    return [
-        _with_interval(report["percentage"][split]["recipes"][recipe]["wmape"], 1, percent=True) for split in SPLITS
-    ]
-
-
 def _list_car_errors(report: Report, recipe: str) -> list[str]:
     """Return the error of a recipe on unseen rides and on unseen dates of one car."""
     if recipe not in report["mae"]:
@@ -209,13 +198,8 @@ def _read(path: Path) -> Report:
 
 def run_once(result: Path, *words: object) -> None:
     """Run a command that makes a file or folder, unless that exists."""
-    if result.exists():
-        return
-    command = [sys.executable, "-m", "socast", *map(str, words)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
-    if ended.returncode:
-        last = (ended.stderr or ended.stdout).strip().splitlines()[-1:]
-        raise SocastError(f"socast {words[0]} failed: {' '.join(last)}")
+    if not result.exists():
+        run_command(Path.cwd(), list(map(str, words)))
 
 
 if __name__ == "__main__":

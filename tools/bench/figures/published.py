@@ -1,28 +1,43 @@
-"""Publish what a measurement found: keep it in `docs/figures.json`, and write it into the pages between marks.
+"""The frame of a measurement: its options, what it keeps and uses again, its table, and what it publishes in the pages.
 
 A page shows a measured figure only inside a block, from `<!-- NAME begins -->` to `<!-- NAME ends -->`. A block holds
 the lines of one measurement and says when, where and by which command they were made, or it is the table of results,
-which takes single figures from several measurements.
+which takes single figures from several measurements. `docs/figures.json` keeps them.
 """
 
+import argparse
+import json
 import os
 import platform
 import re
 import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import wraps
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
+from rich.console import Console
 
+from socast.core.errors import SettingsError, SocastError
 from socast.core.files import replacing
+from socast.tools.terminal.rich_table import Column, make_table
 
-ROOT: Final = Path(__file__).resolve().parents[3]
-KEPT: Final = ROOT / "docs" / "figures.json"
-"""File that keeps the published figures."""
+NEEDED: Final = object()
+"""Default of an option that must be given."""
+_OPTIONS: Final[dict[str, dict[str, Any]]] = {
+    "seeds": {"help": "seeds, such as 4001-4040 or 7,9"},
+    "keep": {"type": Path, "help": "folder for what is made of each seed or car; what is in it is used again"},
+    "json": {"type": Path, "help": "file for the figures"},
+    "publish": {"action": "store_true", "help": "write the table to the pages"},
+    "ved": {"type": Path, "help": "folder with the files of the Vehicle Energy Dataset"},
+    "i3": {"type": Path, "help": "folder with the drives of the BMW i3"},
+    "model3": {"type": Path, "help": "folder with the drives of the Tesla Model 3"},
+}
+"""Options that several measurements have."""
 _BLOCK: Final = re.compile(r"<!-- (?P<name>[a-z-]+) begins -->\n(?P<body>.*?)<!-- (?P=name) ends -->", re.DOTALL)
-
 RESULTS: Final = "results"
 """Name of the block."""
 ROWS: Final = (
@@ -46,6 +61,97 @@ ROWS: Final = (
     ("drives of faulty loggers that are fit for training and wrong", "league", "wrong", "wrong_on"),
 )
 """Result, measurement, and the names of its figure and of what it was measured on."""
+
+
+def make_parser(name: str, about: str | None, **options: Any) -> argparse.ArgumentParser:
+    """Return the parser of a module of the benchmarks, with some of the usual options and their defaults."""
+    parser = argparse.ArgumentParser(f"python -m socast.tools.bench.{name}", description=(about or "").splitlines()[0])
+    for option, default in options.items():
+        needed = {"required": True} if default is NEEDED else {"default": default}
+        parser.add_argument(f"--{option}", **_OPTIONS[option] | needed)
+    return parser
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Return the seeds of a list of numbers and ranges.
+
+    Examples
+    --------
+    >>> parse_seeds("1-3,7")
+    [1, 2, 3, 7]
+    """
+    out: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
+        if match is None:
+            raise SettingsError(f"--seeds is {text!r}; give numbers and ranges, such as 4001-4040,4050")
+        out += range(int(match[1]), int(match[2] or match[1]) + 1)
+    return out
+
+
+def tell_errors(main: Callable[..., None]) -> Callable[..., int]:
+    """Let a program return 0, or 2 after an error of its user, which it prints."""
+
+    @wraps(main)
+    def run(arguments: list[str] | None = None) -> int:
+        try:
+            main(arguments)
+        except SocastError as error:
+            print(error, file=sys.stderr)
+            return 2
+        return 0
+
+    return run
+
+
+def keep(file: Path | None, make: Callable[[], Any]) -> Any:
+    """Return what a JSON file holds; where it does not exist, make it first."""
+    if file is None:
+        return make()
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, make())
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def write_json(file: Path | None, content: Any) -> None:
+    """Write figures to a file, if one was asked for."""
+    if file is not None:
+        file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def run_command(tree: Path, words: Sequence[str]) -> None:
+    """Run a command of `socast` from a source tree."""
+    done = subprocess.run(  # noqa: S603 - the words are ours
+        [sys.executable, "-m", "socast.tools.cli", *words],
+        cwd=tree,  # `-m` searches the working folder first
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SocastError(f"{tree}: socast {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()}")
+
+
+def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: str | None = None) -> None:
+    """Print a table.
+
+    Parameters
+    ----------
+    numbers : str, optional
+        For each column `n` if it holds numbers, any other letter if not; by default all but the first do.
+    """
+    kinds = numbers or "-" + "n" * (len(heads) - 1)
+    table = make_table([Column(head, number=kind == "n") for head, kind in zip(heads, kinds, strict=True)], title)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+ROOT: Final = Path(__file__).resolve().parents[3]
+KEPT: Final = ROOT / "docs" / "figures.json"
+"""File that keeps the published figures."""
 
 
 class Published(msgspec.Struct, frozen=True):
@@ -95,9 +201,9 @@ def publish(name: str, command: str, lines: Sequence[str], values: Mapping[str, 
     write_pages()
 
 
-def read_published(path: Path = KEPT) -> dict[str, Published]:
+def read_published() -> dict[str, Published]:
     """Return the published figures by the name of their measurement; none without the file."""
-    return msgspec.json.decode(path.read_bytes(), type=dict[str, Published]) if path.exists() else {}
+    return msgspec.json.decode(KEPT.read_bytes(), type=dict[str, Published]) if KEPT.exists() else {}
 
 
 def list_pages() -> list[Path]:

@@ -3,14 +3,13 @@
 Example: python -m socast.tools.bench.figures.soc_forecasts --keep build/soc --ved ved/ --i3 i3/
 """
 
-import argparse
 import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import NEEDED, make_parser, publish
 from socast.tools.bench.soc_forecasts import main as judge
 from socast.tools.bench.soc_forecasts import tabulate
 from socast.tools.bench.soc_goals import Line
@@ -47,11 +46,7 @@ ABOUT_REAL: Final = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and publish."""
-    parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--keep", type=Path, required=True, help="folder for the lines of each run; used again")
-    parser.add_argument("--ved", type=Path, help="folder with the files of the Vehicle Energy Dataset")
-    parser.add_argument("--i3", type=Path, help="folder with the drives of the BMW i3")
-    given = parser.parse_args(arguments)
+    given = make_parser("figures.soc_forecasts", __doc__, keep=NEEDED, ved=None, i3=None).parse_args(arguments)
     keep = given.keep
     keep.mkdir(parents=True, exist_ok=True)
     lines: list[Line] = []

@@ -14,21 +14,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from socast.core.diagnose.diagnosis import diagnose
-from socast.core.errors import SettingsError, SocastError
-from socast.tools.bench.figures.published import publish
-from socast.tools.bench.hidden.cases import Weather
-from socast.tools.bench.hidden.export import export_tasks
-from socast.tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
-from socast.tools.bench.hidden.grading import Record
+from socast.core.errors import SettingsError
+from socast.tools.bench.figures.published import ROOT, make_parser, publish, show_table, tell_errors
+from socast.tools.bench.hidden.cases import PARTS, SEEDS, SHAPES, SHARES, Selection, Weather, draw_sample
+from socast.tools.bench.hidden.evaluation import Record
+from socast.tools.bench.hidden.figures import FILE, compute_figures, draw_reliability, list_stated, summarise_timing
 from socast.tools.bench.hidden.page import list_values, make_lines
-from socast.tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
 from socast.tools.bench.hidden.recording import Measurement
-from socast.tools.bench.hidden.reliability import FILE, draw_reliability
-from socast.tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
+from socast.tools.bench.hidden.running import PROCESSES, Task, export_tasks, make_tasks, run_tasks
 from socast.tools.simulator.hidden import EFFECTS
-from socast.tools.terminal.rich_table import Column, make_table
 
-ROOT = Path(__file__).resolve().parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
 QUICK = 60
 """Number of data sets of each part with `--quick`."""
@@ -39,26 +34,23 @@ def _diagnose(*tables: Any, **options: Any) -> dict[str, Any]:
     return diagnose(*tables, leave_out=(), **options).to_json()
 
 
-def main(arguments: list[str] | None = None) -> int:
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
     """Run the benchmark."""
-    options = make_parser().parse_args(arguments)
+    options = _parse(arguments)
     console = Console()
-    try:
-        choice = parse_selection(options)
-        parts = parse_list("--part", options.part, tuple(PARTS))
-        sizes = parse_sizes(str(QUICK) if options.quick and options.sample is None else options.sample or "", parts)
-        todo = [
-            task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
-        ]
-        todo.sort(key=lambda task: task[1][0].seed)  # so that the drives of a seed are simulated once for all parts
-        if options.export:
-            count = export_tasks(todo, options.export, options.processes)
-            console.print(f"{count:,} data sets written to {options.export}", highlight=False)
-            return 0
-        records = collect_records(todo, options.keep, options.processes, console)
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
+    choice = parse_selection(options)
+    parts = parse_list("--part", options.part, tuple(PARTS))
+    sizes = parse_sizes(str(QUICK) if options.quick and options.sample is None else options.sample or "", parts)
+    todo = [
+        task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
+    ]
+    todo.sort(key=lambda task: task[1][0].seed)  # so that the drives of a seed are simulated once for all parts
+    if options.export:
+        count = export_tasks(todo, options.export, options.processes)
+        console.print(f"{count:,} data sets written to {options.export}", highlight=False)
+        return
+    records = collect_records(todo, options.keep, options.processes, console)
     print_figures(records, console)
     Path(options.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
     if options.publish:
@@ -71,12 +63,11 @@ def main(arguments: list[str] | None = None) -> int:
             list_values(records),
         )
         (ROOT / FILE).write_text(draw_reliability(list_stated(records)), encoding="utf-8")
-    return 0
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = argparse.ArgumentParser("bench-hidden", description=__doc__.splitlines()[0])
+def _parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Return the options."""
+    parser = make_parser("hidden", __doc__, keep=None, publish=False)
     parser.add_argument("--part", default=",".join(PARTS), help=f"parts, separated by commas: {', '.join(PARTS)}")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="number of simulations")
     parser.add_argument("--first-seed", type=int, default=0, help="first seed")
@@ -87,12 +78,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--shapes", default=",".join(SHAPES), help=f"shapes of the effects: {', '.join(SHAPES)}")
     parser.add_argument("--sample", help="number of data sets drawn from each part: 60, or one=300,none=100")
     parser.add_argument("--quick", action="store_true", help=f"same as --sample {QUICK}")
-    parser.add_argument("--keep", type=Path, help="folder for records; existing records are not made again")
     parser.add_argument("--processes", type=int, default=PROCESSES, help="number of processes")
     parser.add_argument("--json", type=Path, help=f"file for all records; default {RECORDS}")
     parser.add_argument("--export", type=Path, help="folder for the data sets as Parquet files; nothing is diagnosed")
-    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
-    return parser
+    return parser.parse_args(arguments)
 
 
 def parse_sizes(text: str, parts: Sequence[str]) -> dict[str, int]:
@@ -148,13 +137,12 @@ def collect_records(todo: list[Task], keep: Path | None, processes: int, console
 
 def print_figures(records: list[Record], console: Console) -> None:
     """Print the figures."""
-    columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("95 % interval"),
-               Column("of", number=True), Column("")]  # fmt: skip
-    table = make_table(columns, "Hidden effects")
-    for figure in compute_figures(records):
-        if figure.of:
-            table.add_row(figure.what, figure.goal, figure.text, figure.interval, str(figure.of), figure.verdict)
-    console.print(table)
+    rows = [
+        (figure.what, figure.goal, figure.text, figure.interval, str(figure.of), figure.verdict)
+        for figure in compute_figures(records)
+        if figure.of
+    ]
+    show_table("Hidden effects", ("figure", "goal", "is", "95 % interval", "of", ""), rows, "--n-n-")
     seconds, ratio, count = summarise_timing(records)
     if count:
         console.print(f"{seconds:.2f} s a data set, {ratio:,.0f} times STLSQ, of {count}")

@@ -16,7 +16,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.wire.messages import Message
-from socast.tools.simulator import calibration, physics
+from socast.tools.simulator import physics
 from socast.tools.simulator.fleet import (
     DrivenShift,
     FleetCar,
@@ -26,7 +26,7 @@ from socast.tools.simulator.fleet import (
     make_members,
 )
 from socast.tools.simulator.hidden import EffectInputs
-from socast.tools.simulator.hidden_shapes import get_power
+from socast.tools.simulator.hidden_shapes import calibrate_effects, get_power, sum_energies
 from socast.tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
 from socast.tools.simulator.weather import merge_weather
 
@@ -198,11 +198,11 @@ class Drives:
     def _factors(self, views: list[EffectInputs], hidden: tuple[Hidden, ...], where: Scope) -> list[float]:
         """Return the factor of each effect."""
         pilot = [
-            calibration.sum_energies(view, leg.driven.shift.timeline.ride, hidden)
+            sum_energies(view, leg.driven.shift.timeline.ride, hidden)
             for leg, view in zip(self.legs, views, strict=True)
             if where.contains(leg)
         ]
-        return calibration.calibrate_effects(pilot, hidden)
+        return calibrate_effects(pilot, hidden)
 
 
 def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:

@@ -1,16 +1,25 @@
-"""Compare the result of diagnosis on a data set with the effects that are hidden in it, also by held-out errors."""
+"""Compare the result of diagnosis on a data set with the effects that are hidden in it.
+
+No diagnosis can name an effect that leaves no trace, or one whose trace another effect of the library fits as well. The
+oracle knows the true energy of the hidden effect in each window. An effect is visible where the likelihood of the
+oracle exceeds that of every form of every other effect by the factor `RATIO`. Errors are those of held-out rides.
+"""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from math import log
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from socast.core import effects
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.candidates import Candidates, build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.gains import LEAST_LEFT
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.records import NONE
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_names, get_numbers
@@ -19,19 +28,159 @@ from socast.core.models.features import ACCESSORIES_COLUMN, Columns
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.hidden.baselines import build_columns, fit_stlsq, rank_by_baselines
 from socast.tools.bench.hidden.cases import Case
-from socast.tools.bench.hidden.grading import Record, grade_names
 from socast.tools.bench.hidden.recording import Tables
-from socast.tools.bench.hidden.visibility import measure_visibility, project_products
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import get_right_names
 
-Diagnose = Callable[..., dict[str, Any]]
+Record = dict[str, Any]
 
+LIKELY: Final = 0.5
+"""Probability from which on a name counts as a claim. [1]"""
+RATIO: Final = 20.0
+"""Likelihood ratio from which on the true energy of an effect is distinct from every other effect."""
+LARGEST_SHARE: Final = 0.999
+"""Largest share of a vehicle-day in a sum from which it is left out. [1]"""
 FOLDS: Final = 5
 HEATING: Final = 18.0
 COOLING: Final = 21.0
 """Temperatures below which accessories heat and above which they cool. [°C]"""
 RANK: Final = 1e-9
 """Relative size of singular values that count as zero. [1]"""
+
+
+def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
+    """Return whether the names and the credible set of a diagnosis are right.
+
+    Returns
+    -------
+    Record
+        `outcome` of the first name: `right`, `wrong`, or `none` without a name. `names`: every name in the order of the
+        diagnosis, its probability that it is missing, whatever else is, and whether it is right. What a cause outside
+        the library resembles is no name, as the diagnosis says that it is another cause. `cause`: the most
+        probable cause of the first name. `set_size` and `set_holds`: size of the credible set of the first name, and
+        whether a hidden effect is in it; None without a name. `found`: number of hidden effects among the names with a
+        probability of `LIKELY` or more. `deviations`: single cars, groups and dates that the diagnosis blames.
+    """
+    wanted = list_truths(case)
+    hidden = {name for names in wanted for name in names} - {NONE}
+    names = [
+        {"effect": name["effect"], "probability": name["probability"], "right": name["effect"] in hidden}
+        for name in result["missing"]
+    ]
+    outcome = "none" if not names else "right" if names[0]["right"] else "wrong"
+    likely = {name["effect"] for name in names if name["probability"] >= LIKELY}
+    credible = result["credible_set"] if names else None
+    return {
+        "outcome": outcome,
+        "names": names,
+        "cause": result["causes"][0]["effect"] if result["causes"] else NONE,
+        "set_size": None if credible is None else len(credible),
+        "set_holds": None if credible is None else not hidden.isdisjoint(credible),
+        "found": sum(not likely.isdisjoint(each) for each in wanted),
+        "deviations": [
+            {key: one[key] for key in ("who", "of", "kind", "effect", "since", "q")} for one in result["deviations"]
+        ],
+        "verdict": result["verdict"],
+        "unknown": bool(result["unknown"]),
+    }
+
+
+def list_truths(case: Case) -> list[tuple[str, ...]]:
+    """Return the right names of each hidden effect; `none` where no effect of the library is missing."""
+    names = [get_right_names(effect) for effect, _ in case.hidden]
+    return [(NONE,) if set(each) <= set(case.without) else each for each in names] or [(NONE,)]
+
+
+def measure_visibility(case: Case, base: BaseProjection, candidates: Candidates, hidden: Floats) -> dict[str, Any]:
+    """Return how much of the hidden energy is visible to diagnosis.
+
+    Units: hidden [kWh].
+
+    Returns
+    -------
+    dict
+        `left`: share of the size of the hidden energy that the terms of the model cannot explain. `alike`: correlation
+        of that remainder with the best variant of the right effect of the library; 1 means the same shape. `z`: number
+        of standard errors by which the hidden energy itself would differ from zero as a candidate, from sums over
+        vehicle-days, each with that day left out. `ratios`: logarithm of the likelihood ratio of each effect, see
+        `compare_with_rivals`. `visible`: whether all of them reach `RATIO`.
+    """
+    energy = hidden.sum(axis=1)[:, np.newaxis]
+    off = base.project_out(energy)[:, 0]
+    size, whole = float(np.sqrt(off @ off)), float(np.sqrt((base.apply_weights(energy) ** 2).sum()))
+    scope = [f"vehicle={case.where.vehicle}"] if case.where.vehicle else []
+    scope += [f"since={case.where.since}"] if case.where.since else []
+    library = [effects.get(name) for effect, _ in case.hidden for name in get_right_names(effect)]
+    columns = [[each.energy_name, *scope] for effect in library for each in (effect, *effect.variants)]
+    orthogonal = project_products(base, columns)
+    sizes = np.sqrt((orthogonal**2).sum(axis=0))
+    alike = np.divide(off @ orthogonal, size * sizes, out=np.zeros(len(sizes)), where=size * sizes > 0.0)
+    ratios = [compare_with_rivals(case, base, candidates, hidden, number) for number in range(len(case.hidden))]
+    return {
+        "left": size / whole if whole > 0.0 else 0.0,
+        "alike": float(alike.max()),
+        "z": compute_z(off, base.residual, base.windows.day),
+        "ratios": ratios,
+        "visible": min(ratios) >= log(RATIO),
+    }
+
+
+def compare_with_rivals(case: Case, base: BaseProjection, candidates: Candidates, hidden: Floats, number: int) -> float:
+    """Return by how much the true energy of a hidden effect is more likely than the best form of any other effect.
+
+    Units: hidden [kWh].
+
+    Parameters
+    ----------
+    number : int
+        Number of the effect. The true energies of the others are known to both sides.
+
+    Returns
+    -------
+    float
+        Logarithm of the likelihood ratio: half the difference of the falls of the weighted squared error, divided by
+        the variance that the true energies leave. [1]
+    """
+    off = base.project_out(np.column_stack([hidden, candidates.columns]))
+    others = [i for i in range(hidden.shape[1]) if i != number]
+    known, own = off[:, others], off[:, number]
+    if others:
+        off = off - known @ np.linalg.lstsq(known, off, rcond=None)[0]
+        own = off[:, number]
+    residual = base.residual - known.sum(axis=1)
+    forms = off[:, hidden.shape[1] :]
+    sizes, match = (forms**2).sum(axis=0), forms.T @ residual
+    right = get_right_names(case.hidden[number].effect)
+    names = np.array(candidates.names, dtype=object)[candidates.effects]
+    seen = sizes > LEAST_LEFT * (base.apply_weights(candidates.columns) ** 2).sum(axis=0)
+    rival = seen & ~np.isin(names, right) & (candidates.sign * match >= 0.0)
+    falls = np.divide(match**2, sizes, out=np.zeros(len(sizes)), where=rival)
+    size, along = float(own @ own), float(own @ residual)
+    fall = max(along, 0.0) ** 2 / size if size > 0.0 else 0.0
+    noise = (float(residual @ residual) - fall) / max(len(residual) - base.rank, 1)
+    return (fall - float(falls.max(initial=0.0))) / (2.0 * noise)
+
+
+def compute_z(orthogonal: Floats, residual: Floats, cluster: Ints) -> float:
+    """Return the coefficient of a column divided by its standard error."""
+    total = float(orthogonal @ orthogonal)
+    if total <= 0.0:
+        return 0.0
+    value = float(orthogonal @ residual) / total
+    share = np.bincount(cluster, orthogonal**2) / total
+    scores = np.bincount(cluster, orthogonal * (residual - orthogonal * value)) / (
+        1.0 - np.minimum(share, LARGEST_SHARE)
+    )
+    return value * total / float(np.sqrt((scores**2).sum()))
+
+
+def project_products(base: BaseProjection, columns: list[list[str]]) -> Floats:
+    """Return weighted products of columns, orthogonal to the terms of the model, (n, products)."""
+    terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
+    table = base.windows.table
+    return base.project_out(np.nan_to_num(build_design(terms, Columns(table), len(table))))
+
+
+Diagnose = Callable[..., dict[str, Any]]
 
 
 def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
@@ -179,7 +328,11 @@ def compute_errors(
     for kind in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == kind)
         base = _base(windows, model, str(kind), rows)
-        more = build_design(tuple(_term(columns) for columns in named), Columns(windows.table, rows=rows), len(rows))
+        more = build_design(
+            tuple(Term(name=", ".join(columns), columns=tuple(columns), unit="1") for columns in named),
+            Columns(windows.table, rows=rows),
+            len(rows),
+        )
         energy = windows.measured[rows]
         predicted[0, rows] = predict_held_out(base, energy, fold[rows])
         predicted[1, rows] = predict_held_out(np.column_stack([base, np.nan_to_num(more)]), energy, fold[rows])
@@ -222,8 +375,3 @@ def _base(windows: Windows, model: LinearModel, kind: str, rows: Ints) -> Floats
         [np.ones(len(hours)), np.maximum(HEATING - ambient, 0.0), np.maximum(ambient - COOLING, 0.0)]
     )
     return np.column_stack([columns, power * hours[:, np.newaxis]])
-
-
-def _term(columns: Sequence[str]) -> Term:
-    """Return the term that is the product of columns."""
-    return Term(name=", ".join(columns), columns=tuple(columns), unit="1")

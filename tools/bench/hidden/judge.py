@@ -3,7 +3,6 @@
 Example: python -m socast.tools.bench.hidden.judge build/hidden answers.json
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,13 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from rich.console import Console
-
 from socast.core.diagnose.records import NONE
-from socast.core.errors import SettingsError, SocastError
+from socast.core.errors import SettingsError
 from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.figures.published import make_parser, show_table, tell_errors
 from socast.tools.bench.hidden.figures import LEAST
-from socast.tools.terminal.rich_table import Column, make_table
 
 Answers = Mapping[str, Sequence[str]]
 Truth = Mapping[str, Any]
@@ -97,26 +94,20 @@ GOALS: Final[Mapping[str, Callable[[Truth], bool]]] = MappingProxyType(
 """What counts, and which data sets belong to it."""
 
 
-def main(arguments: list[str] | None = None) -> int:
+@tell_errors
+def main(arguments: list[str] | None = None) -> None:
     """Print the scores of a file of answers."""
-    parser = argparse.ArgumentParser("judge", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("hidden.judge", __doc__)
     parser.add_argument("folder", type=Path, help="folder that `socast.tools.bench.hidden --export` made")
     parser.add_argument("answers", type=Path, help="JSON file: a list of names for each data set")
     options = parser.parse_args(arguments)
-    try:
-        truths, answers = (_read(path) for path in (options.folder / "truth.json", options.answers))
-        scores = judge(answers, truths)
-    except SocastError as error:
-        print(error, file=sys.stderr)
-        return 2
-    columns = [Column("figure"), Column("right", number=True), Column("of", number=True), Column("95 % interval")]
-    table = make_table(columns, "Hidden effects")
-    for score in scores:
-        low, high = score.interval
-        share = f"{100 * score.right / score.of:.1f} %"
-        table.add_row(score.what, share, str(score.of), f"{100 * low:.1f} to {100 * high:.1f} %")
-    Console().print(table)
-    return 0
+    truths, answers = (_read(path) for path in (options.folder / "truth.json", options.answers))
+    rows = [
+        (score.what, f"{100 * score.right / score.of:.1f} %", str(score.of), f"{100 * low:.1f} to {100 * high:.1f} %")
+        for score in judge(answers, truths)
+        for low, high in [score.interval]
+    ]
+    show_table("Hidden effects", ("figure", "right", "of", "95 % interval"), rows, "-nn-")
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -8,7 +8,10 @@ import numpy as np
 
 from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.hidden.baselines import DESCRIPTIONS
+from socast.tools.bench.hidden.cases import ABSORBED, SHAPES, SHARES
+from socast.tools.bench.hidden.evaluation import RATIO, Record
 from socast.tools.bench.hidden.figures import (
+    FILE,
     LEAST,
     compute_error_reduction,
     compute_figures,
@@ -22,14 +25,9 @@ from socast.tools.bench.hidden.figures import (
     select_far,
     select_part,
     summarise_timing,
+    tabulate_reliability,
 )
-from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.hidden.parts import ABSORBED, SHAPES, SHARES
-from socast.tools.bench.hidden.reliability import FILE, tabulate_reliability
-from socast.tools.bench.hidden.visibility import RATIO
-from socast.tools.simulator.bent_shapes import BENT
-from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.simulator.hidden_shapes import BENT, OTHER, get_right_names, strip_shape
 
 _VALUES: Final = {
     "V·I, 1.5 % or more, all: truth first": "vi",
@@ -228,7 +226,7 @@ def _leads(record: Record, method: str) -> bool:
     return bool(ranked) and ranked[0] in get_right_names(record["hidden"][0][0])
 
 
-def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
+def tabulate_wrong_names(records: Sequence[Record]) -> Lines:
     """Return a table of the most frequent wrong names and of the effects that were hidden."""
     pairs: dict[tuple[str, str], int] = {}
     for r in records:
@@ -236,7 +234,7 @@ def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
             hidden = " + ".join(sorted(strip_shape(effect) for effect, _ in r["hidden"])) or "nothing"
             key = hidden, r["missing"][0]["effect"]
             pairs[key] = pairs.get(key, 0) + 1
-    frequent = sorted(pairs.items(), key=lambda item: -item[1])[:most]
+    frequent = sorted(pairs.items(), key=lambda item: -item[1])[:12]
     return write_table(["hidden", "named", "data sets"], [(hidden, named, str(n)) for (hidden, named), n in frequent])
 
 

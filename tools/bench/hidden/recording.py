@@ -26,8 +26,8 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.settings import Settings
 from socast.core.signals.signals import Signals, flag_ambient
 from socast.core.signals.weather import Sky, Stations
-from socast.core.totals.accumulator import AMOUNTS, Accumulator, Totals
-from socast.core.totals.clean_rows import compute_amounts
+from socast.core.totals.accumulator import AMOUNTS, Accumulator, Sums, Totals, join_totals
+from socast.core.totals.clean_rows import CleanRows, compute_amounts
 from socast.core.totals.context import RunContext
 from socast.core.totals.display_yield import DisplayYields
 from socast.core.totals.sample_totals import BLOCK
@@ -148,16 +148,14 @@ class Recording:
             other.compute_rates(filled)
             return other.tables(measured, measurement, names)
         accumulator, displays = Accumulator(len(self.effects) + ROOM), DisplayYields(self.cars)
-        rides, windows = list[Totals](), list[Totals]()
+        parts, lanes = list[Sums](), len(self.lanes)
         for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
-            rows = slice(start, start + BLOCK)
-            part = _rows(clean, rows)
-            self._renew(block, part, rows, hidden[:, rows])
-            sums = displays.attach(accumulator.add(part, self.kind[rows], block, len(self.lanes)), len(self.lanes))
-            rides.append(sums.rides)
-            windows.append(sums.windows)
-        closed = displays.attach(accumulator.close(), len(self.lanes))
-        return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
+            part = CleanRows(clean, self.sky, self.kind).rows(start, start + BLOCK)
+            self._renew(block, part, hidden[:, start : start + BLOCK])
+            parts.append(displays.attach(accumulator.add(part.clean, part.kind, block, lanes), lanes))
+        parts.append(displays.attach(accumulator.close(), lanes))
+        rides = join_totals([part.rides for part in parts], accumulator.none())
+        return self._named(rides, join_totals([part.windows for part in parts], accumulator.none()), names)
 
     def compute_rates(self, filled: Batch) -> None:
         """Compute what each row adds to the sums, its time and its elevation."""
@@ -166,18 +164,21 @@ class Recording:
         self.timing = clean.dt
         clean = smooth_elevation(clean)
         self.elevation, self.climb = clean.elevation, clean.climb
-        self.sky = _weather(clean, self.observed)
+        self.sky = Stations().sky_between(clean.time, clean.latitude, clean.longitude, self.observed)
         for start in range(0, filled.size, BLOCK):
-            rows = slice(start, start + BLOCK)
-            signals = _signals(_rows(clean, rows), self.sky, self.cars, self.kind, rows)
+            signals = self._make_signals(CleanRows(clean, self.sky, self.kind).rows(start, start + BLOCK))
             with np.errstate(all="ignore"):
                 powers = [(effect.per, effect.power(signals)) for effect in self.effects]
             rates = compute_amounts(signals, powers)
             self.rates.append(np.concatenate([rates, np.zeros((ROOM, rates.shape[1]))]))
 
-    def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
+    def _make_signals(self, rows: CleanRows) -> Signals:
+        """Return the signals of some rows."""
+        return Signals(rows.clean, rows.sky, self.cars.parameters_of(rows.kind))
+
+    def _renew(self, block: Floats, rows: CleanRows, hidden: Floats) -> None:
         """Write the energies that a hidden effect changes into a block of rates."""
-        signals = _signals(clean, self.sky, self.cars, self.kind, rows)
+        signals, clean = self._make_signals(rows), rows.clean
         block[: len(AMOUNTS)] = compute_amounts(signals, [])
         for index, effect in enumerate(self.effects):
             if READS_SOC in effect.arguments:
@@ -233,39 +234,9 @@ def _cleaned(batch: Batch, lanes: int, sky: Sky, capacity: Floats) -> Clean:
     return clean._replace(quality=flag_ambient(clean, sky))
 
 
-def _signals(clean: Clean, sky: Sky, cars: Cars, kind: Ints, rows: slice) -> Signals:
-    """Return the signals of some rows; `clean` holds only these rows."""
-    return Signals(clean, Sky(*(column[rows] for column in sky)), cars.parameters_of(kind[rows]))
-
-
 def _time(effect: Effect, clean: Clean) -> Floats:
     """Return the time over which an effect acts. [s]"""
     return clean.travel if effect.per == "distance" else clean.dt
-
-
-def _rows(clean: Clean, rows: slice) -> Clean:
-    """Return some of the rows."""
-    return Clean(*(column[rows] for column in clean))  # type: ignore[arg-type]
-
-
-def _joined(parts: list[Totals]) -> Totals:
-    """Return totals concatenated."""
-    return Totals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _weather(clean: Clean, observed: Sequence[tuple[int, Weather]]) -> Sky:
-    """Return the weather at each row, from the observations received before it."""
-    stations, n = Stations(), len(clean.time)
-    sky = np.empty((len(Sky._fields), n))
-    edges = [*(row for row, _ in observed), n]
-    rows = slice(0, edges[0])
-    sky[:, rows] = stations.sky(clean.time[rows], clean.latitude[rows], clean.longitude[rows])
-    for (row, weather), end in zip(observed, edges[1:], strict=True):
-        stations.observe(weather)
-        rows = slice(row, end)
-        if end > row:
-            sky[:, rows] = stations.sky(clean.time[rows], clean.latitude[rows], clean.longitude[rows])
-    return Sky(*sky)
 
 
 def _numbers(batch: Batch) -> Ints:

@@ -1,11 +1,21 @@
 """Faults of clocks, counters and senders."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from socast.tools.bench.league.fault import CLOCK, ORDER, SAMPLES, fault, find_drives, pick_block
-from socast.tools.bench.league.loggers import Car, Log
+from socast.tools.bench.league.loggers import (
+    CLOCK,
+    ORDER,
+    SAMPLES,
+    Apply,
+    Car,
+    Log,
+    Prepare,
+    declare,
+    fault,
+    find_drives,
+    keep,
+    pick_block,
+)
 
 
 def _count(car: Car, _: np.random.Generator) -> None:
@@ -56,27 +66,18 @@ def clock_bursts(log: Log, rng: np.random.Generator) -> None:
     log.receipt = log.receipt[last]
 
 
-def _floor(log: Log, step: float) -> None:
-    """Cut stamps to a multiple of some seconds."""
-    log.columns["time_s"] = np.floor(log.columns["time_s"] / step) * step
+def _floor(step: float) -> Apply:
+    """Return a fault that cuts stamps to a multiple of some seconds."""
+
+    def apply(log: Log, _: np.random.Generator) -> None:
+        log.columns["time_s"] = np.floor(log.columns["time_s"] / step) * step
+
+    return apply
 
 
-@fault("clock", CLOCK)
-def clock_floored_1_s(log: Log, _: np.random.Generator) -> None:
-    """Cut stamps to whole seconds."""
-    _floor(log, 1.0)
-
-
-@fault("clock", CLOCK, "stamp", prepare=_be_fast)
-def clock_floored_10_s(log: Log, _: np.random.Generator) -> None:
-    """Cut stamps to tens of seconds."""
-    _floor(log, 10.0)
-
-
-@fault("clock", CLOCK, "stamp", prepare=_be_fast)
-def clock_floored_60_s(log: Log, _: np.random.Generator) -> None:
-    """Cut stamps to whole minutes."""
-    _floor(log, 60.0)
+declare("clock_floored_1_s", "Cut stamps to whole seconds.", _floor(1.0), "clock", CLOCK)
+declare("clock_floored_10_s", "Cut stamps to tens of seconds.", _floor(10.0), "clock", CLOCK, "stamp", prepare=_be_fast)
+declare("clock_floored_60_s", "Cut stamps to whole minutes.", _floor(60.0), "clock", CLOCK, "stamp", prepare=_be_fast)
 
 
 @fault("clock", CLOCK)
@@ -185,7 +186,7 @@ def sent_on_change(log: Log, _: np.random.Generator) -> None:
     log.columns["seq"] += np.arange(len(log)) - runs - log.columns["seq"]
 
 
-def _sample_slowly(period: float) -> Callable[[Car, np.random.Generator], None]:
+def _sample_slowly(period: float) -> Prepare:
     """Return a function that makes a car sample at a period, which half of the cars announce."""
 
     def prepare(car: Car, rng: np.random.Generator) -> None:
@@ -194,16 +195,30 @@ def _sample_slowly(period: float) -> Callable[[Car, np.random.Generator], None]:
     return prepare
 
 
-@fault("clock", SAMPLES, "stamp", prepare=_sample_slowly(1.0))
-def every_1_s(log: Log, _: np.random.Generator) -> None:
-    """Sample every second, not always announced."""
-
-
-@fault("clock", SAMPLES, "stamp", prepare=_sample_slowly(10.0))
-def every_10_s(log: Log, _: np.random.Generator) -> None:
-    """Sample every 10 s, not always announced."""
-
-
-@fault("clock", SAMPLES, "stamp", prepare=_sample_slowly(60.0))
-def every_60_s(log: Log, _: np.random.Generator) -> None:
-    """Sample once a minute, not always announced."""
+declare(
+    "every_1_s",
+    "Sample every second, not always announced.",
+    keep,
+    "clock",
+    SAMPLES,
+    "stamp",
+    prepare=_sample_slowly(1.0),
+)
+declare(
+    "every_10_s",
+    "Sample every 10 s, not always announced.",
+    keep,
+    "clock",
+    SAMPLES,
+    "stamp",
+    prepare=_sample_slowly(10.0),
+)
+declare(
+    "every_60_s",
+    "Sample once a minute, not always announced.",
+    keep,
+    "clock",
+    SAMPLES,
+    "stamp",
+    prepare=_sample_slowly(60.0),
+)

@@ -1,38 +1,78 @@
 """Every fault by its name, and those of speed, position, odometer, current and charge."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from socast.core.batch import Floats
 from socast.tools.bench.league import clock_faults
-from socast.tools.bench.league.fault import FAULTS, VALUES, fault, find_drives, pick_block
-from socast.tools.bench.league.loggers import Car, Log, blank
+from socast.tools.bench.league.loggers import (
+    FAULTS,
+    VALUES,
+    Apply,
+    Car,
+    Log,
+    blank,
+    declare,
+    fault,
+    find_drives,
+    keep,
+    pick_block,
+)
 
 __all__ = ["FAULTS", "clock_faults"]
 
 
-def _stick(log: Log, rng: np.random.Generator, value: float | None) -> None:
-    """Keep the speed of each drive at one value for 60 to 300 s."""
-    for rows in find_drives(log):
-        block = pick_block(log, rows, rng, 60.0, 300.0)
-        speed = log.columns["speed_kmh"]
-        speed[block] = speed[block[0]] if value is None else value
+_SPEED: Final = ("speed_kmh",)
+_FIX: Final = ("latitude_deg", "longitude_deg", "elevation_m")
+_CURRENT: Final = ("battery_current_a",)
+_OF_SPEED: Final = "speed", VALUES, "speed"
+_OF_POSITION: Final = "position", VALUES, "position"
+_OF_CURRENT: Final = "current", VALUES, "power"
+"""Family, stage and spoilt witness of most faults of a field."""
 
 
-@fault("speed", VALUES, "speed")
-def speed_stuck_at_zero(log: Log, rng: np.random.Generator) -> None:
-    """Report a speed of 0 for 60 to 300 s of each drive."""
-    _stick(log, rng, 0.0)
+def _hold(fields: tuple[str, ...], value: float | None = None) -> Apply:
+    """Return a fault that keeps fields of each drive at one value for 60 to 300 s, by default at that of before."""
+
+    def apply(log: Log, rng: np.random.Generator) -> None:
+        for rows in find_drives(log):
+            block = pick_block(log, rows, rng, 60.0, 300.0)
+            for name in fields:
+                log.columns[name][block] = log.columns[name][block[0]] if value is None else value
+
+    return apply
 
 
-@fault("speed", VALUES, "speed")
-def speed_stuck(log: Log, rng: np.random.Generator) -> None:
-    """Repeat one speed for 60 to 300 s of each drive."""
-    _stick(log, rng, None)
+def _multiply(field: str, factor: float) -> Apply:
+    """Return a fault that multiplies a field."""
+
+    def apply(log: Log, _: np.random.Generator) -> None:
+        log.columns[field] *= factor
+
+    return apply
 
 
-@fault("speed", VALUES, "speed")
+def _leave_out(fields: tuple[str, ...]) -> Apply:
+    """Return a fault that sends null for some fields."""
+    return lambda log, _: blank(log, fields)
+
+
+def _leave_out_awhile(fields: tuple[str, ...]) -> Apply:
+    """Return a fault that sends null for some fields for one to four minutes of each drive."""
+
+    def apply(log: Log, rng: np.random.Generator) -> None:
+        for rows in find_drives(log):
+            blank(log, fields, pick_block(log, rows, rng, 60.0, 240.0))
+
+    return apply
+
+
+declare("speed_stuck_at_zero", "Report a speed of 0 for 60 to 300 s of each drive.", _hold(_SPEED, 0.0), *_OF_SPEED)
+declare("speed_stuck", "Repeat one speed for 60 to 300 s of each drive.", _hold(_SPEED), *_OF_SPEED)
+
+
+@fault(*_OF_SPEED)
 def speed_spikes(log: Log, rng: np.random.Generator) -> None:
     """Change 3 to 12 speeds of each drive by 30 to 70 km/h."""
     for rows in find_drives(log):
@@ -49,53 +89,31 @@ def speed_noisy(log: Log, rng: np.random.Generator) -> None:
     log.columns["speed_kmh"] = np.where(speed > 0.0, noisy, speed)
 
 
-def _scale(log: Log, factor: float) -> None:
-    """Multiply the speed."""
-    log.columns["speed_kmh"] *= factor
+declare("speed_in_mph", "Report the speed in miles per hour.", _multiply("speed_kmh", 1.0 / 1.609344), *_OF_SPEED)
+declare("speed_in_m_s", "Report the speed in metres per second.", _multiply("speed_kmh", 1.0 / 3.6), *_OF_SPEED)
 
 
-@fault("speed", VALUES, "speed")
-def speed_in_mph(log: Log, _: np.random.Generator) -> None:
-    """Report the speed in miles per hour."""
-    _scale(log, 1.0 / 1.609344)
-
-
-@fault("speed", VALUES, "speed")
-def speed_in_m_s(log: Log, _: np.random.Generator) -> None:
-    """Report the speed in metres per second."""
-    _scale(log, 1.0 / 3.6)
-
-
-@fault("speed", VALUES, "speed")
+@fault(*_OF_SPEED)
 def speed_scaled(log: Log, rng: np.random.Generator) -> None:
     """Multiply the speed by 0.9 to 1.1."""
-    _scale(log, float(rng.choice((0.9, 0.95, 1.03, 1.06, 1.1))))
+    log.columns["speed_kmh"] *= float(rng.choice((0.9, 0.95, 1.03, 1.06, 1.1)))
 
 
-@fault("speed", VALUES, "speed")
-def speed_absent(log: Log, _: np.random.Generator) -> None:
-    """Send no speed."""
-    blank(log, ("speed_kmh",))
+declare("speed_absent", "Send no speed.", _leave_out(_SPEED), *_OF_SPEED)
+declare("speed_missing", "Send no speed for one to four minutes of each drive.", _leave_out_awhile(_SPEED), *_OF_SPEED)
 
 
-@fault("speed", VALUES, "speed")
-def speed_missing(log: Log, rng: np.random.Generator) -> None:
-    """Send no speed for one to four minutes of each drive."""
-    for rows in find_drives(log):
-        blank(log, ("speed_kmh",), pick_block(log, rows, rng, 60.0, 240.0))
-
-
-@fault("speed", VALUES, "speed")
+@fault(*_OF_SPEED)
 def speed_tunnel(log: Log, rng: np.random.Generator) -> None:
     """Lose the fix for 30 to 200 s with a speed of 0, then report 900 to 2,000 km/h once or twice."""
     for rows in find_drives(log):
         block = pick_block(log, rows, rng, 30.0, 200.0)
-        blank(log, ("latitude_deg", "longitude_deg", "elevation_m"), block)
+        blank(log, _FIX, block)
         log.columns["speed_kmh"][block] = 0.0
         log.columns["speed_kmh"][block[-1] : block[-1] + int(rng.integers(1, 3))] = rng.uniform(900.0, 2000.0)
 
 
-@fault("position", VALUES, "position", stays=("awake", "awake"))
+@fault(*_OF_POSITION, stays=("awake", "awake"))
 def position_drift_parked(log: Log, rng: np.random.Generator) -> None:
     """Let the fix of the parked car wander by tens of metres."""
     parked = log.drive < 0
@@ -118,13 +136,7 @@ def position_jumps(log: Log, rng: np.random.Generator) -> None:
         _move(log, rng.uniform(200.0, 5000.0, len(at)), rng.uniform(-5000.0, 5000.0, len(at)), at)
 
 
-@fault("position", VALUES, "position")
-def position_frozen(log: Log, rng: np.random.Generator) -> None:
-    """Repeat one fix for 60 to 300 s of each drive."""
-    for rows in find_drives(log):
-        block = pick_block(log, rows, rng, 60.0, 300.0)
-        for name in ("latitude_deg", "longitude_deg", "elevation_m"):
-            log.columns[name][block] = log.columns[name][block[0]]
+declare("position_frozen", "Repeat one fix for 60 to 300 s of each drive.", _hold(_FIX), *_OF_POSITION)
 
 
 @fault("position")
@@ -141,20 +153,13 @@ def position_noisy(log: Log, rng: np.random.Generator) -> None:
     _move(log, rng.normal(0.0, spread, len(log)), rng.normal(0.0, spread, len(log)), slice(None))
 
 
-@fault("position", VALUES, "position")
-def position_absent(log: Log, _: np.random.Generator) -> None:
-    """Send no fixes."""
-    blank(log, ("latitude_deg", "longitude_deg", "elevation_m"))
+declare("position_absent", "Send no fixes.", _leave_out(_FIX), *_OF_POSITION)
+declare(
+    "position_missing", "Send no fix for one to four minutes of each drive.", _leave_out_awhile(_FIX), *_OF_POSITION
+)
 
 
-@fault("position", VALUES, "position")
-def position_missing(log: Log, rng: np.random.Generator) -> None:
-    """Send no fix for one to four minutes of each drive."""
-    for rows in find_drives(log):
-        blank(log, ("latitude_deg", "longitude_deg", "elevation_m"), pick_block(log, rows, rng, 60.0, 240.0))
-
-
-@fault("position", VALUES, "position")
+@fault(*_OF_POSITION)
 def position_zero(log: Log, rng: np.random.Generator) -> None:
     """Send the fix 0/0 for one to four minutes of each drive."""
     for rows in find_drives(log):
@@ -169,10 +174,16 @@ def _fixes_only(car: Car, _: np.random.Generator) -> None:
     car.period = min(car.period, 10.0)
 
 
-@fault("position", VALUES, "speed", "odometer", prepare=_fixes_only)
-def fixes_only(log: Log, _: np.random.Generator) -> None:
-    """Send neither speed nor odometer."""
-    blank(log, ("speed_kmh", "odometer_km"))
+declare(
+    "fixes_only",
+    "Send neither speed nor odometer.",
+    _leave_out((*_SPEED, "odometer_km")),
+    "position",
+    VALUES,
+    "speed",
+    "odometer",
+    prepare=_fixes_only,
+)
 
 
 def _drive_by_odometer(car: Car, _: np.random.Generator) -> None:
@@ -180,10 +191,7 @@ def _drive_by_odometer(car: Car, _: np.random.Generator) -> None:
     car.sends.add("odometer")
 
 
-@fault("odometer", VALUES, "odometer")
-def odometer_absent(log: Log, _: np.random.Generator) -> None:
-    """Send no odometer."""
-    blank(log, ("odometer_km",))
+declare("odometer_absent", "Send no odometer.", _leave_out(("odometer_km",)), "odometer", VALUES, "odometer")
 
 
 @fault("odometer", VALUES, "odometer", prepare=_drive_by_odometer)
@@ -198,42 +206,25 @@ def _count_kilometres(car: Car, _: np.random.Generator) -> None:
     car.odometer_step = 1.0
 
 
-@fault("odometer", prepare=_count_kilometres)
-def odometer_coarse(log: Log, _: np.random.Generator) -> None:
-    """Report the odometer in whole kilometres."""
-
-
-@fault("current", VALUES, "power")
-def current_inverted(log: Log, _: np.random.Generator) -> None:
-    """Report the current with the wrong sign."""
-    log.columns["battery_current_a"] *= -1.0
-
-
-@fault("current", VALUES, "power")
-def current_frozen(log: Log, rng: np.random.Generator) -> None:
-    """Repeat one current for 60 to 300 s of each drive."""
-    for rows in find_drives(log):
-        block = pick_block(log, rows, rng, 60.0, 300.0)
-        log.columns["battery_current_a"][block] = log.columns["battery_current_a"][block[0]]
-
-
-@fault("current", VALUES, "power")
-def current_absent(log: Log, _: np.random.Generator) -> None:
-    """Send no current."""
-    blank(log, ("battery_current_a",))
-
-
-@fault("current", VALUES, "power")
-def current_missing(log: Log, rng: np.random.Generator) -> None:
-    """Send no current for one to four minutes of each drive."""
-    for rows in find_drives(log):
-        blank(log, ("battery_current_a",), pick_block(log, rows, rng, 60.0, 240.0))
-
-
-@fault("charge", stays=("charging", "charging"))
-def charging_unflagged(log: Log, _: np.random.Generator) -> None:
-    """Charge between drives without saying so."""
-    blank(log, ("charging",))
+declare("odometer_coarse", "Report the odometer in whole kilometres.", keep, "odometer", prepare=_count_kilometres)
+declare(
+    "current_inverted", "Report the current with the wrong sign.", _multiply("battery_current_a", -1.0), *_OF_CURRENT
+)
+declare("current_frozen", "Repeat one current for 60 to 300 s of each drive.", _hold(_CURRENT), *_OF_CURRENT)
+declare("current_absent", "Send no current.", _leave_out(_CURRENT), *_OF_CURRENT)
+declare(
+    "current_missing",
+    "Send no current for one to four minutes of each drive.",
+    _leave_out_awhile(_CURRENT),
+    *_OF_CURRENT,
+)
+declare(
+    "charging_unflagged",
+    "Charge between drives without saying so.",
+    _leave_out(("charging",)),
+    "charge",
+    stays=("charging", "charging"),
+)
 
 
 def _measure_by_charge(car: Car, _: np.random.Generator) -> None:
@@ -251,7 +242,4 @@ def soc_stale_after_sleep(log: Log, rng: np.random.Generator) -> None:
         log.columns["soc_pct"][until] += np.round(fall / log.car.quantum) * log.car.quantum
 
 
-@fault("charge", VALUES, "soc")
-def soc_absent(log: Log, _: np.random.Generator) -> None:
-    """Send no state of charge."""
-    blank(log, ("soc_pct",))
+declare("soc_absent", "Send no state of charge.", _leave_out(("soc_pct",)), "charge", VALUES, "soc")

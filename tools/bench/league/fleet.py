@@ -7,15 +7,21 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
-from socast.stream.loop import feed
-from socast.tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
+from socast.tools.bench import measures
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
-from socast.tools.bench.league.loggers import Log, make_car, sample, write_messages
-from socast.tools.bench.measures import cut_blocks
+from socast.tools.bench.league.loggers import (
+    CLOCK,
+    Fault,
+    Log,
+    are_compatible,
+    make_car,
+    sample,
+    settle,
+    write_messages,
+)
 
 DRIVES: Final = 3
 """Number of drives of a car."""
@@ -86,10 +92,8 @@ def write_stream(entries: Sequence[Entry]) -> list[Message]:
 
 def tabulate(messages: Sequence[Message]) -> pd.DataFrame:
     """Return the ride table of a stream, as `socast tables` makes it; of its columns those that are judged."""
-    pipeline = Pipeline(EXTENDED_PHYSICAL, keep_forecasts=False, two_sided=True)
-    for _ in feed(cut_blocks(messages, BLOCK), pipeline):
-        pass
-    return pipeline.take_rides()[list(COLUMNS)]
+    rides, _ = measures.tabulate(messages, BLOCK, two_sided=True)
+    return rides[list(COLUMNS)]
 
 
 def judge_stream(entries: Sequence[Entry]) -> list[Verdict]:

@@ -27,8 +27,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.cleaning import clock, quality
 from socast.core.settings import Settings
 from socast.tools.bench.league.drives import JOULES
-from socast.tools.bench.league.fault import CAUSES, Fault, find_spoiled
-from socast.tools.bench.league.loggers import FIRST_LABEL, Log
+from socast.tools.bench.league.loggers import CAUSES, FIRST_LABEL, Fault, Log, find_spoiled
 
 DISTANCE, ENERGY, DURATION = 0.03, 0.03, 0.05
 """Tolerances. [1]"""

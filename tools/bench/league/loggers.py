@@ -1,7 +1,12 @@
-"""Sample true drives as a logger without a fault does, and write its samples as messages."""
+"""Sample true drives as a logger does, write its samples as messages, and declare the faults that change them.
 
+A fault of one kind of value needs a witness of another kind, or nothing could show it. `settle` gives the car one: an
+odometer or fixes beside a wrong speed, a counter beside a clock that is set forward, a charge beside a wrong current.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -32,6 +37,28 @@ FIELDS: Final = (
 """Fields of a sample with their formats, in the order of `Log.columns`."""
 FIRST_LABEL: Final = 10
 """Battery temperature of the first drive [degC]; with the number of people, it names the drive of a sample."""
+SENDS: Final = {
+    "speed": ("speed_kmh",),
+    "position": ("latitude_deg", "longitude_deg", "elevation_m"),
+    "odometer": ("odometer_km",),
+    "power": ("battery_voltage_v", "battery_current_a"),
+    "soc": ("soc_pct",),
+}
+"""Fields of what a car may send."""
+VALUES, SAMPLES, CLOCK, ORDER = range(4)
+"""Stages in which faults act: on values, on which samples there are, on stamps, on the order of arrival."""
+CAUSES: Final = {
+    "clock": (
+        *("gap", "clock", "time", "stamp", "counter", "sequence", "pause", "too_long", "too_short", "missing"),
+        *("distance", "speed"),
+    ),
+    "speed": ("speed", "distance", "odometer", "bridge", "too_long"),
+    "position": ("position", "fix", "distance", "speed", "slope", "bridge"),
+    "odometer": ("odometer", "distance", "speed"),
+    "current": ("current", "power", "energy", "meter", "contradictory"),
+    "charge": ("soc", "charg", "energy", "capacity", "contradictory", "too_long"),
+}
+"""Words of the reasons that name each family of faults."""
 
 
 @dataclass
@@ -173,16 +200,6 @@ def sample(rng: np.random.Generator, car: Car) -> Log:
     return log
 
 
-SENDS: Final = {
-    "speed": ("speed_kmh",),
-    "position": ("latitude_deg", "longitude_deg", "elevation_m"),
-    "odometer": ("odometer_km",),
-    "power": ("battery_voltage_v", "battery_current_a"),
-    "soc": ("soc_pct",),
-}
-"""Fields of what a car may send."""
-
-
 def blank(log: Log, fields: tuple[str, ...], rows: Any = slice(None)) -> None:
     """Send null for some fields."""
     for name in fields:
@@ -234,3 +251,110 @@ def write_messages(log: Log) -> list[Message]:
 def _name_flags(values: Floats) -> list[str]:
     """Return flags as JSON."""
     return ["null" if value != value else "true" if value else "false" for value in values.tolist()]  # noqa: PLR0124
+
+
+Apply = Callable[[Log, np.random.Generator], None]
+Prepare = Callable[[Car, np.random.Generator], None]
+
+
+class Fault(NamedTuple):
+    """Describe a fault.
+
+    Parameters
+    ----------
+    name, meaning, family : str
+        Its name, what it does, and the key in `CAUSES` of the reasons for which a ride may be unfit.
+    apply : callable
+        Function that changes the samples of a car.
+    spoils : tuple of str
+        What it makes useless as a witness: `speed`, `position`, `odometer`, `power`, `soc`, `counter`, `stamp`. Two
+        faults that spoil the same never act together.
+    prepare : callable
+        Function that makes the car one that can have the fault.
+    """
+
+    name: str
+    meaning: str
+    apply: Apply
+    family: str
+    stage: int
+    spoils: tuple[str, ...]
+    prepare: Prepare
+    stays: tuple[str, ...]
+
+
+FAULTS: Final[dict[str, Fault]] = {}
+"""Every fault by its name."""
+
+
+def keep(_: Log | Car, __: np.random.Generator) -> None:
+    """Leave the samples of a car, or the car, as they are."""
+
+
+def declare(
+    name: str,
+    meaning: str,
+    apply: Apply,
+    family: str,
+    stage: int = VALUES,
+    *spoils: str,
+    prepare: Prepare = keep,
+    stays: tuple[str, ...] = (),
+) -> None:
+    """Declare a fault."""
+    FAULTS[name] = Fault(name, meaning, apply, family, stage, spoils, prepare, stays)
+
+
+def fault(family: str, stage: int = VALUES, *spoils: str, **options: Any) -> Callable[[Apply], Apply]:
+    """Declare a fault by a function that has its name and says what it does."""
+
+    def register(apply: Apply) -> Apply:
+        declare(apply.__name__, apply.__doc__ or "", apply, family, stage, *spoils, **options)
+        return apply
+
+    return register
+
+
+def find_spoiled(faults: Sequence[Fault]) -> set[str]:
+    """Return what faults make useless as a witness."""
+    return {part for each in faults for part in each.spoils}
+
+
+def are_compatible(one: Fault, other: Fault) -> bool:
+    """Return whether two faults can act together: they spoil different things, and leave a witness of the motion."""
+    takes = find_spoiled((one, other))
+    blind = takes >= {"speed", "odometer", "position"}
+    stays = not (one.stays and other.stays) or one.stays == other.stays
+    return len(takes) == len(one.spoils) + len(other.spoils) and not blind and stays
+
+
+def settle(car: Car, faults: Sequence[Fault], rng: np.random.Generator) -> None:
+    """Prepare a car for its faults, and give it the witnesses by which they can be noticed."""
+    for each in faults:
+        each.prepare(car, rng)
+    spoiled = find_spoiled(faults)
+    motion = [part for part in ("odometer", "position") if part not in spoiled]
+    is_blind = "speed" in spoiled or "speed" not in car.sends
+    if is_blind and not any(part in car.sends for part in motion):
+        car.sends.add(str(rng.choice(motion)))
+    if "power" in spoiled:
+        car.sends.update(("power", "soc"))
+    if any(each.family == "position" and "absent" not in each.name for each in faults):
+        car.sends.add("position")
+
+
+def find_drives(log: Log) -> Iterator[Ints]:
+    """Yield the rows of each drive."""
+    for number in range(len(log.car.track.drives)):
+        rows = np.flatnonzero(log.drive == number)
+        if len(rows) > 3:
+            yield rows
+
+
+def pick_block(log: Log, rows: Ints, rng: np.random.Generator, least: float, most: float) -> Ints:
+    """Return the rows of some seconds within a drive."""
+    true = log.true[rows]
+    duration = min(rng.uniform(least, most), 0.6 * (true[-1] - true[0]))
+    begin = rng.uniform(true[0] + 10.0, max(true[0] + 11.0, true[-1] - duration))
+    block = rows[(true >= begin) & (true <= begin + duration)]
+    return block if len(block) else rows[len(rows) // 2 : len(rows) // 2 + 1]

@@ -13,12 +13,10 @@ import pyarrow.compute as pc
 
 from socast.core.batch import Floats
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime, collect_cells
-from socast.tools.importers.table.name_times import find_name_day
-from socast.tools.importers.table.row_faults import RowFaults
-from socast.tools.importers.table.row_times import SECONDS_PER_WEEK, TimeReader
+from socast.tools.importers.table.row_reader import SECONDS_PER_WEEK, TimeReader
+from socast.tools.importers.table.text_stream import RowFaults
 from socast.tools.importers.table.text_times import parse_times, read_offsets
-from socast.tools.importers.table.time_source import TimeSource
-from socast.tools.importers.table.zone_offsets import LARGEST, spell_offset
+from socast.tools.importers.table.time_words import LARGEST, TimeSource, find_name_day, spell_offset
 
 DAY: Final = 86400.0
 ROLLOVER_WEEKS: Final = 1024

@@ -5,15 +5,15 @@ A mistake in the file is one line with the file, the line number, the value, wha
 
 import tomllib
 from collections.abc import Mapping
-from datetime import datetime, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
-from socast.tools.importers.table.name_times import find_unknown_directive
 from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
@@ -23,9 +23,16 @@ from socast.tools.importers.table.sampling import (
     Sampling,
     find_holds,
 )
-from socast.tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
+from socast.tools.importers.table.time_words import (
+    MOST_WEEKS,
+    SERIAL,
+    TIME_UNITS,
+    TimeSource,
+    find_offset,
+    find_time_unit,
+    find_unknown_directive,
+)
 from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
-from socast.tools.importers.table.zone_offsets import find_offset, make_zone
 from socast.tools.terminal.settings_file import explain_toml, find_line
 
 NOMINAL_VOLTAGE: Final = 360.0
@@ -70,6 +77,20 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
     "fields": {},
 }
 """Table of a map -> its keys and their types."""
+_LIMITS: Final[Mapping[str, tuple[float, float, str]]] = {
+    "skip_lines": (0, 1000, ""),
+    "gap_s": (1, 86400, " s"),
+    "period_s": (SHORTEST_PERIOD, LONGEST_PERIOD, " s"),
+    "hold_s": (0, LONGEST_HOLD, " s"),
+    "silence_s": (0, LONGEST_HOLD, " s"),
+}
+"""Key of a number -> its least and largest value, and its unit."""
+_CHOICES: Final[Mapping[str, tuple[tuple[object, ...], str]]] = {
+    "decimal": ((".", ","), "'.' or ','"),
+    "power_covers": (POWER_SPANS, f"one of {', '.join(POWER_SPANS)}"),
+    "sign": ((1, -1), "1 or -1"),
+}
+"""Key -> the values that it may have, and how they are told."""
 _FIELD_KEYS: Final = {"column": str, "signal": str, "unit": str, "sign": int, "true": list, "hold_s": (int, float)}
 _TYPE_WORDS: Final = {
     str: "text in quotes",
@@ -107,7 +128,7 @@ class RideSource(NamedTuple):
 
     column: str | None = None
     from_file_name: bool = False
-    gap: float | None = None
+    gap_s: float | None = None
 
 
 class ParkedSource(NamedTuple):
@@ -217,7 +238,7 @@ class _MapReader:
             fields,
             self.read_rows(),
             self.read_parked(),
-            self.read_power_covers(),
+            self.tables.get("rows", {}).get("power_covers"),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -235,6 +256,12 @@ class _MapReader:
             if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
                 words = "a number" if float in kinds else " or ".join(_TYPE_WORDS[kind] for kind in kinds)
                 raise self.refuse(where, f"{key} is {value!r}, must be {words}")
+            low, high, unit = _LIMITS.get(key, (-inf, inf, ""))
+            if key in _LIMITS and not low <= value <= high:
+                raise self.refuse(where, f"{key} is {value:g}, must be from {low:g} to {high:g}{unit}")
+            choices, words = _CHOICES.get(key, ((value,), ""))
+            if value not in choices:
+                raise self.refuse(where, f"{key} is {value!r}, must be {words}")
 
     def need(self, table: str, key: str) -> Any:
         """Return a value that must be there."""
@@ -247,17 +274,11 @@ class _MapReader:
 
     def read_file(self) -> FileFormat:
         """Return how the files are written."""
-        table = self.tables.get("file", {})
-        decimal = table.get("decimal")
-        if decimal not in {None, ".", ","}:
-            raise self.refuse(("file", "decimal"), f"decimal is {decimal!r}, must be '.' or ','")
-        separator = table.get("separator")
-        if separator is not None and len(separator) != 1:
-            raise self.refuse(("file", "separator"), f"separator is {separator!r}, must be one character such as ';'")
-        skip = table.get("skip_lines", 0)
-        if not 0 <= skip <= 1000:
-            raise self.refuse(("file", "skip_lines"), f"skip_lines is {skip}, must be from 0 to 1000")
-        return FileFormat(separator, decimal, table.get("encoding"), skip, table.get("extra_cells", False))
+        found = FileFormat(**self.tables.get("file", {}))
+        if found.separator is not None and len(found.separator) != 1:
+            words = f"separator is {found.separator!r}, must be one character such as ';'"
+            raise self.refuse(("file", "separator"), words)
+        return found
 
     def read_time(self) -> TimeSource:
         """Return the clock."""
@@ -333,7 +354,7 @@ class _MapReader:
         """Return the time zone of a name, or of an offset such as `+02:00`."""
         offset = None if name in {"UTC", "GMT"} else find_offset(name)
         if offset is not None and "/" not in name:
-            return make_zone(offset)
+            return timezone(timedelta(seconds=offset))
         try:
             return ZoneInfo(name)
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:
@@ -387,10 +408,7 @@ class _MapReader:
         given = [key for key in ("column", "from_file_name", "gap_s") if table.get(key)]
         if len(given) > 1:
             raise self.refuse(("ride",), f"[ride] has {' and '.join(given)}; leave all but one out")
-        gap = table.get("gap_s")
-        if gap is not None and not 1 <= gap <= 86400:
-            raise self.refuse(("ride", "gap_s"), f"gap_s is {gap:g}, must be from 1 to 86400 s")
-        return RideSource(table.get("column"), table.get("from_file_name", False), gap)
+        return RideSource(**table)
 
     def read_parked(self) -> ParkedSource | None:
         """Return in which rows the car is parked."""
@@ -399,41 +417,17 @@ class _MapReader:
         words = frozenset(str(word).strip().lower() for word in self.need("parked", "values"))
         return ParkedSource(self.need("parked", "column"), words)
 
-    def read_power_covers(self) -> PowerSpan | None:
-        """Return what the power of a row covers, None where the map does not say it."""
-        span: PowerSpan | None = self.tables.get("rows", {}).get("power_covers")
-        if span is not None and span not in POWER_SPANS:
-            raise self.refuse(
-                ("rows", "power_covers"), f"power_covers is '{span}', must be one of {', '.join(POWER_SPANS)}"
-            )
-        return span
-
     def read_rows(self) -> Sampling | None:
         """Return how rows become samples, None where each row is one as it is."""
         table = {key: value for key, value in self.tables.get("rows", {}).items() if key != "power_covers"}
-        period = table.get("period_s")
-        if period is not None and not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
-            raise self.refuse(
-                ("rows", "period_s"),
-                f"period_s is {period:g}, must be from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s",
-            )
-        own = {
-            name: self.read_hold(each["hold_s"], ("fields", name, "hold_s"))
-            for name, each in self.tables.get("fields", {}).items()
-            if "hold_s" in each
-        }
+        fields = self.tables.get("fields", {})
+        own = {name: float(each["hold_s"]) for name, each in fields.items() if "hold_s" in each}
         if not table and not own:
             return None
-        usual = STAND if table.get("on_change") else HOLD
-        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else usual
-        silence = self.read_hold(table.get("silence_s", HOLD), ("rows", "silence_s"))
-        return Sampling(period, find_holds(usual) | own, silence if table.get("on_change") else None)
-
-    def read_hold(self, hold: float, where: tuple[str, ...]) -> float:
-        """Return the age up to which a value stays known. [s]"""
-        if not 0 <= hold <= LONGEST_HOLD:
-            raise self.refuse(where, f"hold_s is {hold:g}, must be from 0 to {LONGEST_HOLD:g} s")
-        return float(hold)
+        is_on_change = table.get("on_change", False)
+        usual = float(table.get("hold_s", STAND if is_on_change else HOLD))
+        silence = float(table.get("silence_s", HOLD)) if is_on_change else None
+        return Sampling(table.get("period_s"), find_holds(usual) | own, silence)
 
     def read_field(self, name: str, table: Any) -> FieldSource:
         """Return the source of a field."""
@@ -446,8 +440,6 @@ class _MapReader:
         if ("column" in table) == ("signal" in table):
             raise self.refuse(where, f"{name} needs a column, or a signal of the long form; write one of them")
         sign = table.get("sign", 1)
-        if sign not in {1, -1}:
-            raise self.refuse(where, f"sign is {sign}, must be 1 or -1")
         try:
             conversion = find_conversion(table.get("unit", FIELD_UNITS[name]), name)
         except SettingsError as error:

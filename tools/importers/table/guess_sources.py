@@ -1,14 +1,17 @@
-"""Choose the columns or signals that fields of a map are read from: those of a preset first, then by their names."""
+"""Choose the columns or signals that fields are read from: those of a preset first, then by names and contents."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import re
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from socast.core.batch import Floats
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.clock_rate import (
+from socast.tools.importers.table.cells import to_numbers
+from socast.tools.importers.table.clock_checks import (
     SHORTEST_PERIOD,
     describe_rate,
     is_steady,
@@ -16,7 +19,6 @@ from socast.tools.importers.table.clock_rate import (
     sum_close_steps,
 )
 from socast.tools.importers.table.clock_witness import judge_clock, read_clock
-from socast.tools.importers.table.guess_contents import Source, choose_bare, find_charging, find_parked, find_times
 from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
@@ -30,24 +32,151 @@ from socast.tools.importers.table.guess_names import (
 )
 from socast.tools.importers.table.guess_time import (
     LEAST_SHARE,
+    TRIED,
     Blocks,
     GuessedTime,
     collect_cells,
     find_origin,
     list_clocks,
 )
+from socast.tools.importers.table.guess_values import GuessedRows, Source
 from socast.tools.importers.table.presets import Preset, PresetTime
-from socast.tools.importers.table.text_times import parse_times
-from socast.tools.importers.table.units import FIELD_UNITS
+from socast.tools.importers.table.text_times import list_forms, parse_times
+from socast.tools.importers.table.units import FIELD_UNITS, convertible
+
+LOWEST_VOLTAGE: Final = 20.0
+HIGHEST_VOLTAGE: Final = 1500.0
+"""Limits of the voltage of a traction battery, within which a column `V` must lie. [V]"""
+LARGEST_CURRENT: Final = 2000.0
+"""Limit of a column `I`. [A]"""
+_ISO: Final = r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d"
+_CLOCK: Final = r"\d.*\d\d?[:.hH-]\d\d"
+"""Cells among which dates with a time of day may be."""
+_BARE: Final = re.compile(
+    r"^(V|U|I|[tT]emp(?:erature)?)[ _]*[\[(]?(V|A|(?:[dD]eg ?|°)?[cCfFK]|[cC]elsius|[fF]ahrenheit)?[\])]?$"
+)
+
+_PARKED: Final = re.compile(
+    r"p|park(ed|ing)?|asleep|sleep(ing)?|offline|off|inactive|suspended|standby|stopped|standstill|idle|completed?"
+    r"|plugged(in)?|chargecomplete"
+)
+_CHARGES: Final = re.compile(r"(ac|dc|fast|quick|super|starting)?charg(e|ing)(ac|dc)?")
+_DRIVES: Final = re.compile(
+    r"[drnb]|driv(e|ing)|reverse|neutral|(in)?motion|moving|trip|ride|online|on|active|awake|ready|running"
+)
 
 
-class Sources(NamedTuple):
-    """Hold what was chosen.
+def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
+    """Return the columns that hold nothing but times, in text or as time stamps of Parquet, most of them different."""
+    return [NamedColumn(name, TIME, None) for name in names if _holds_times(_take_cells(name, blocks))]
+
+
+def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[Source]:
+    """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit."""
+    found: dict[str, list[tuple[str, str | None]]] = {}
+    for name in names:
+        if match := _BARE.match(name):
+            found.setdefault(match[1].upper()[:4], []).append((name, match[2]))
+    voltages, currents, temperatures = (
+        found.get("V", []) + found.get("U", []),
+        found.get("I", []),
+        found.get("TEMP", []),
+    )
+    chosen = []
+    if voltages and currents and not {"battery_voltage_v", "battery_current_a"} & set(taken):
+        (voltage, volt), (current, ampere) = voltages[0], currents[0]
+        if _is_voltage(_take_numbers(voltage, blocks)) and _is_current(_take_numbers(current, blocks)):
+            reason = "'{}' and '{}' have values of a battery"
+            chosen = [
+                Source("battery_voltage_v", voltage, None, volt, reasons=(reason.format(voltage, current),)),
+                Source("battery_current_a", current, None, ampere, reasons=(reason.format(current, voltage),)),
+            ]
+    if len(temperatures) == 1 and not {"ambient_c", "battery_temperature_c"} & set(taken):
+        ((name, unit),) = temperatures
+        unit = unit if unit and convertible(unit, "ambient_c") else None
+        words = "the name states no place, taken as outside: check it"
+        reason = f"unit in the name: {unit}; {words}" if unit else words
+        chosen.append(Source("ambient_c", name, None, unit, reasons=(reason,)))
+    return chosen
+
+
+def _take_cells(name: str, blocks: Blocks) -> Any:
+    """Return the first cells of a column, None where it has none."""
+    for _, block in blocks:
+        if name in block and len(block[name]) > block[name].null_count:
+            return block[name].drop_null().slice(0, TRIED)
+    return None
+
+
+def _take_numbers(name: str, blocks: Blocks) -> Floats:
+    """Return the first numbers of a column."""
+    for table, block in blocks:
+        if name in block:
+            numbers, _ = to_numbers(block[name].slice(0, TRIED), table.decimal)
+            known: Floats = numbers[np.isfinite(numbers)]
+            if len(known):
+                return known
+    return np.zeros(0)
+
+
+def _holds_times(cells: Any) -> bool:
+    """Return whether cells are times of rows: in one form, and at least half of them different."""
+    if cells is None or 2 * pc.count_distinct(cells).as_py() < len(cells):
+        return False
+    if pa.types.is_timestamp(cells.type):
+        return True
+    if not (pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type)):
+        return False
+    if pc.all(pc.match_substring_regex(cells, _ISO)).as_py():
+        return True
+    texts = pc.utf8_trim_whitespace(pc.cast(cells, pa.string()))
+    if not pc.all(pc.match_substring_regex(texts, _CLOCK)).as_py():
+        return False
+    return any(bool(np.all(~np.isnat(parse_times(texts, form).stamps))) for form in list_forms(texts.to_pylist()))
+
+
+def _is_voltage(values: Floats) -> bool:
+    """Return whether values are those of a traction battery. [V]"""
+    if not len(values):
+        return False
+    low, high = np.percentile(values, [5, 95]).tolist()
+    return bool(low > LOWEST_VOLTAGE and high < HIGHEST_VOLTAGE and high < 2.0 * low)
+
+
+def _is_current(values: Floats) -> bool:
+    """Return whether values may be currents of a battery: they change. [A]"""
+    return len(values) > 0 and bool(np.ptp(values) > 0 and np.abs(values).max() < LARGEST_CURRENT)
+
+
+def find_parked(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a parked or charging car, none where other words are not known.
+
+    Examples
+    --------
+    >>> find_parked(["Driving", "Parked", "Charging (AC)"]), find_parked(["Parked", "blue"])
+    (('Parked', 'Charging (AC)'), ())
+    """
+    if not all(_matches(word, _PARKED, _CHARGES, _DRIVES) for word in words):
+        return ()
+    return tuple(word for word in words if _matches(word, _PARKED, _CHARGES))
+
+
+def find_charging(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a charging car."""
+    return tuple(word for word in words if _matches(word, _CHARGES))
+
+
+def _matches(word: str, *patterns: re.Pattern[str]) -> bool:
+    """Return whether the letters of a word match one of some patterns."""
+    letters = "".join(letter for letter in word.lower() if letter.isalpha())
+    return any(pattern.fullmatch(letters) for pattern in patterns)
+
+
+class GuessedMap(NamedTuple):
+    """Hold a guessed map.
 
     Parameters
     ----------
-    time : GuessedTime, optional
-        None where no column is a time.
     vehicle, ride : str, optional
         Columns of the car and the ride.
     long : tuple of (str, str), optional
@@ -56,19 +185,35 @@ class Sources(NamedTuple):
         Columns that are not read, with the reason.
     parked : (str, tuple of str), optional
         Column and words of rows in which the car is parked.
+    rows : GuessedRows, optional
+        How rows that carry only part of the fields become samples.
+    inverted : tuple of str
+        Cars whose current and power have the opposite sign.
+    vehicle_model : str, optional
+        Vehicle model of all cars, as the user gives it.
     """
 
-    time: GuessedTime | None
+    time: GuessedTime
     vehicle: str | None
     ride: str | None
     long: tuple[str, str] | None
     fields: list[Source]
     left_out: list[tuple[str, str]]
-    parked: tuple[str, tuple[str, ...]] | None = None
+    parked: tuple[str, tuple[str, ...]] | None
+    preset: Preset | None
+    rows: GuessedRows | None = None
+    is_per_file: bool = False
+    inverted: tuple[str, ...] = ()
+    vehicle_model: str | None = None
 
 
-def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> Sources:
-    """Return the columns and signals to read."""
+def list_names(names: Sequence[str]) -> str:
+    """Return the first names of columns, for a message."""
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
+def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> GuessedMap:
+    """Return a map of the columns and signals to read, whose units and rows are not known yet."""
     by_name = preset is None or preset.rest
     units = {name: unit for table, _ in blocks for name, unit in zip(table.names, table.units, strict=False) if unit}
     named = [found for name in names if (found := guess_name(name, units.get(name))) is not None]
@@ -89,17 +234,22 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     if parked is not None and "charging" not in {each.field for each in fields}:
         fields += _find_charging(parked[0], blocks)
     time = _choose_clock(names, roles, preset, blocks)
+    if time is None:
+        raise ImportFileError(
+            f"{blocks[0][0].path}: no column looks like a time; it has {list_names(names)}; write a map by hand, with "
+            "the column in [time]"
+        )
     vehicle, ride = (
         _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
         for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
     )
-    read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *(time.columns if time else ())}
+    read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *time.columns}
     read |= {parked[0]} if parked else set()
     left_out = [(name, why) for name, why in left_out if name not in read]
     unread = "its name says nothing" if by_name else "the preset does not read it"
     known = read | ({each.name for each in named if each.role != STATE} if by_name else set())
     left_out += [(name, _explain_second(name) or unread) for name in names if name not in known]
-    return Sources(time, vehicle, ride, long, fields, left_out, parked)
+    return GuessedMap(time, vehicle, ride, long, fields, left_out, parked, preset)
 
 
 def _explain_second(name: str) -> str:

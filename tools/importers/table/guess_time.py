@@ -14,12 +14,17 @@ import pyarrow.compute as pc
 from socast.core.batch import Floats
 from socast.core.errors import ImportFileError
 from socast.tools.importers.table.guess_names import NamedColumn
-from socast.tools.importers.table.month_names import describe_doubt
-from socast.tools.importers.table.name_times import guess_name_form
 from socast.tools.importers.table.table_file import Block, TableFile
-from socast.tools.importers.table.text_times import ISO_OFFSET, parse_times, to_unix
-from socast.tools.importers.table.time_forms import list_forms
-from socast.tools.importers.table.time_source import FIRST_EPOCH, LAST_EPOCH, SERIAL, TimeSource, find_time_unit
+from socast.tools.importers.table.text_times import ISO_OFFSET, list_forms, parse_times, to_unix
+from socast.tools.importers.table.time_words import (
+    FIRST_EPOCH,
+    LAST_EPOCH,
+    SERIAL,
+    TimeSource,
+    describe_doubt,
+    find_time_unit,
+    guess_name_form,
+)
 
 EPOCH_UNITS: Final = ("s", "ms", "us", "ns")
 """Units of Unix time."""

@@ -14,26 +14,27 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.cells import is_value
-from socast.tools.importers.table.column_map import FileFormat
-from socast.tools.importers.table.row_faults import (
-    LONGEST_EXAMPLE,
-    OPEN_QUOTE,
-    RowFaults,
-    find_open_quote,
-    find_width_cause,
-    is_header,
-)
-from socast.tools.importers.table.text_form import (
+from socast.tools.importers.table.cells import (
     SEPARATORS,
     find_decimal,
     find_grouped,
     find_header,
     find_units,
+    is_value,
     number_duplicates,
     split_cells,
 )
-from socast.tools.importers.table.text_stream import TextStream, find_encoding
+from socast.tools.importers.table.column_map import FileFormat
+from socast.tools.importers.table.text_stream import (
+    LONGEST_EXAMPLE,
+    OPEN_QUOTE,
+    RowFaults,
+    TextStream,
+    find_encoding,
+    find_open_quote,
+    find_width_cause,
+    is_header,
+)
 
 BLOCK_BYTES: Final = 4 << 20
 """Part of a CSV file that is parsed at a time. [B]"""

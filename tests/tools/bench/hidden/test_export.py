@@ -10,8 +10,8 @@ import pytest
 from socast.core.effects import get_library
 from socast.core.errors import SettingsError
 from socast.tools.bench.hidden.cases import Case
-from socast.tools.bench.hidden.export import draw_decoy, export_tasks
 from socast.tools.bench.hidden.judge import is_answer_right, judge, main
+from socast.tools.bench.hidden.running import draw_decoy, export_tasks
 from socast.tools.simulator.settings import Hidden
 
 
@@ -19,7 +19,7 @@ from socast.tools.simulator.settings import Hidden
 def folder(source, tmp_path_factory):
     out = tmp_path_factory.mktemp("hidden")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socast.tools.bench.hidden.export.SeedData", lambda _: source)
+        patch.setattr("socast.tools.bench.hidden.running.SeedData", lambda _: source)
         one = Case(5, (Hidden("headwind", 0.06),))
         hidden = Case(5, (Hidden("snow", 0.06),), "soc", without=("snow",))
         assert export_tasks([("one", [one]), ("outside", [hidden]), ("none", [Case(5)])], out, 1) == 3

@@ -5,8 +5,8 @@ import pytest
 from socast.core.diagnose.records import NONE
 from socast.core.records import to_json_values
 from socast.tools.bench.hidden.cases import Case
-from socast.tools.bench.hidden.grading import grade_names, list_truths
-from socast.tools.simulator.right_names import get_right_names
+from socast.tools.bench.hidden.evaluation import grade_names, list_truths
+from socast.tools.simulator.hidden_shapes import get_right_names
 from socast.tools.simulator.settings import Hidden
 from tests.support.diagnosed_names import make_name, make_result
 from tests.support.diagnosis_result import make_deviation

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from socast.tools.bench.hidden.reliability import (
+from socast.tools.bench.hidden.figures import (
     BOTTOM,
     LEFT,
     RIGHT,
@@ -33,14 +33,6 @@ def test_bins_hold_the_ends_of_the_range():
         (0.9, 1, 1.0),
     ]
     assert isnan(compute_calibration_error([]))
-
-
-def test_weights_count_names_more_or_less():
-    stated = [(0.95, True), (0.95, False)]
-    (even,), (uneven,) = bin_probabilities(stated), bin_probabilities(stated, [3.0, 1.0])
-    assert (even.right, uneven.right) == (0.5, 0.75)
-    assert uneven.effective == pytest.approx(1.6)
-    assert compute_calibration_error(stated, [3.0, 1.0]) == pytest.approx(0.2)
 
 
 def test_table_has_a_row_for_each_bin_with_names():

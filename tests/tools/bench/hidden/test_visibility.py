@@ -11,8 +11,7 @@ from socast.core.diagnose.dataset import gather_windows
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.fit.recipes import fit_to_windows
 from socast.tools.bench.hidden.cases import Case
-from socast.tools.bench.hidden.evaluation import compute_true_energy
-from socast.tools.bench.hidden.visibility import RATIO, compare_with_rivals, measure_visibility
+from socast.tools.bench.hidden.evaluation import RATIO, compare_with_rivals, compute_true_energy, measure_visibility
 from socast.tools.simulator.settings import Hidden
 
 

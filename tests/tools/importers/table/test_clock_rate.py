@@ -7,8 +7,7 @@ import pytest
 from socast.core.errors import ImportFileError
 from socast.tools.importers.table.column_map import FileFormat, parse_map
 from socast.tools.importers.table.conversion import convert_tables, open_tables
-from socast.tools.importers.table.guess import guess_map
-from socast.tools.importers.table.map_text import write_map_text
+from socast.tools.importers.table.guess import guess_map, write_map_text
 from socast.tools.importers.table.table_file import open_table
 from tests.support.own_tables import START, make_drive, read_samples
 

@@ -11,11 +11,10 @@ from socast.core.errors import ImportFileError
 from socast.core.wire.messages import Ride
 from socast.stream.mcap_reader import McapSource
 from socast.tools.importers.table.column_map import read_map
-from socast.tools.importers.table.conversion import convert_tables, open_tables
-from socast.tools.importers.table.import_summary import list_lines
-from socast.tools.importers.table.row_faults import WRONG_WIDTH
+from socast.tools.importers.table.conversion import convert_tables, list_lines, open_tables
 from socast.tools.importers.table.row_reader import AMBIGUOUS_TIME, IMPLAUSIBLE_TIME, NO_TIME, NO_VALUE, UNREADABLE_TIME
 from socast.tools.importers.table.table_file import list_tables
+from socast.tools.importers.table.text_stream import WRONG_WIDTH
 from tests.support.own_tables import read_samples
 
 MAP = """\

@@ -6,7 +6,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from socast.core.errors import ImportFileError
-from socast.tools.importers.table.name_times import find_origin, find_unknown_directive, guess_name_form
+from socast.tools.importers.table.time_words import find_origin, find_unknown_directive, guess_name_form
 
 EIGHT = 1714550400.0
 """1 May 2024, 08:00 UTC. [Unix s]"""

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from socast.tools.importers.table.conversion import fill_parked
-from socast.tools.importers.table.guess_contents import find_charging, find_parked
+from socast.tools.importers.table.guess_sources import find_charging, find_parked
 from socast.tools.importers.table.row_messages import has_period
 from tests.support.commands import called
 from tests.support.own_tables import KM_PER_MILE, make_drive, read_samples, teslafi

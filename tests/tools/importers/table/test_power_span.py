@@ -10,7 +10,7 @@ from socast.core.wire.messages import Vehicle
 from socast.stream.mcap_reader import McapSource
 from socast.tools.importers.table.column_map import parse_map
 from socast.tools.importers.table.conversion import convert_tables, open_tables
-from socast.tools.importers.table.power_span import measure_span
+from socast.tools.importers.table.row_messages import measure_span
 from tests.support.own_tables import START, make_drive
 
 FINE = 10

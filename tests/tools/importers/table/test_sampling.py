@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.tools.importers.table.guess_rows import guess_rows
+from socast.tools.importers.table.guess_values import guess_rows
 from socast.tools.importers.table.row_messages import has_period
 from socast.tools.importers.table.sampling import HOLD, SLOW_HOLD, Sampling, find_holds, sample_rows
 from socast.tools.importers.table.units import FIELD_UNITS

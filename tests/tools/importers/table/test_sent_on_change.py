@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.tools.importers.table.guess_rows import guess_rows
+from socast.tools.importers.table.guess_values import guess_rows
 from socast.tools.importers.table.sampling import STAND, Sampling, find_holds, sample_rows
 from tests.support.commands import called
 from tests.support.own_tables import read_samples

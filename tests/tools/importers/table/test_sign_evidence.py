@@ -4,10 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.tools.importers.table.agreement import check_agreement
+from socast.tools.importers.table.agreement import check_agreement, judge_sign
 from socast.tools.importers.table.agreement_sums import AgreementSums
-from socast.tools.importers.table.sign_evidence import judge_sign
-from socast.tools.importers.table.time_sort import sort_rows
+from socast.tools.importers.table.row_order import sort_rows
 from tests.support.commands import called
 from tests.support.own_tables import make_drive
 from tests.tools.importers.table.test_agreement import make_rows

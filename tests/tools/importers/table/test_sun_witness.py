@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from socast.core.signals.sun import sine_of_elevation
-from socast.tools.importers.table.sun_witness import SunWitness
+from socast.tools.importers.table.weather_file import SunWitness
 
 PLACE = (43.9, 125.3)
 DAY = 1_681_862_400.0 + 60.0 * np.arange(1440)

@@ -4,10 +4,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from socast.tools.importers.table.month_names import describe_doubt, find_month
-from socast.tools.importers.table.text_times import parse_times
-from socast.tools.importers.table.time_forms import list_forms
-from socast.tools.importers.table.zone_offsets import find_offset
+from socast.tools.importers.table.text_times import list_forms, parse_times
+from socast.tools.importers.table.time_words import describe_doubt, find_month, find_offset
 
 MONTHS = {
     "English": "Jan Feb Mar Apr May Jun Jul Aug Sept Oct Nov Dec",

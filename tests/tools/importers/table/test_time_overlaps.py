@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from socast.tools.importers.table.time_overlaps import COVERED_TWICE, TimeSpans, leave_out_covered_twice
+from socast.tools.importers.table.row_order import COVERED_TWICE, TimeSpans, leave_out_covered_twice
 
 
 def make_rows(times, vehicle=0, **fields):

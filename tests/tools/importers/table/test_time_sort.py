@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.tools.importers.table.time_sort import sort_rows
+from socast.tools.importers.table.row_order import sort_rows
 
 DTYPE = np.dtype([("time", "f8"), ("vehicle", "i4"), ("at", "i8")])
 
