@@ -33,14 +33,9 @@ def _excludes_zero(limits: ConfidenceInterval | None) -> bool:
     return limits is not None and limits[0] * limits[1] > 0.0
 
 
-def rank_deviation(one: CarDeviation) -> tuple[bool, bool]:
-    """Return the key by which deviations are sorted: certain sizes first, and of these plausible causes first."""
-    return not has_certain_size(one), not one.coefficient.plausible
-
-
 def find_leading_deviation(deviations: Sequence[CarDeviation]) -> CarDeviation | None:
     """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one."""
-    return next((one for one in sorted(deviations, key=rank_deviation) if has_certain_size(one)), None)
+    return next((one for one in deviations if has_certain_size(one)), None)
 
 
 def is_rate_known(one: CarDeviation) -> bool:
@@ -132,9 +127,7 @@ def _format_date(day: date, beside: date | None = None) -> str:
 def _name_causes(causes: Sequence[CauseProbability]) -> str:
     """Return the causes of a credible set with their probabilities, in their order."""
     names = [
-        f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %"
-        f"{' (of implausible size)' if one.plausible is False else ''}"
-        for one in causes
+        f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %" for one in causes
     ]
     if len(names) > SEVERAL:
         others = len(names) - SEVERAL

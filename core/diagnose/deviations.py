@@ -4,13 +4,14 @@ from math import exp, log
 from typing import Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.deviation_words import MONTH, rank_deviation
+from socast.core.diagnose.deviation_words import MONTH, has_certain_size
 from socast.core.diagnose.inference.posterior import Inference, LikelyCause
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.core.diagnose.inference.window_model import CARS
@@ -55,7 +56,7 @@ def list_credible(shares: dict[str, float], level: float = CREDIBLE) -> list[str
 
 
 def describe_deviations(seen: Windows, inference: Inference, *, dated: bool) -> list[CarDeviation]:
-    """Return what distinguishes cars or groups, and what changed; certain and plausible ones first.
+    """Return what distinguishes cars or groups, and what changed; those of certain size first.
 
     Parameters
     ----------
@@ -64,13 +65,13 @@ def describe_deviations(seen: Windows, inference: Inference, *, dated: bool) -> 
     """
     scoped = [one for one in inference.findings if one.family.is_scoped]
     found = [_describe(seen, inference, one) for one in scoped if one.is_likely]
-    return sorted((one for one in found if dated or one.since is None), key=rank_deviation)
+    return sorted((one for one in found if dated or one.since is None), key=lambda one: not has_certain_size(one))
 
 
 def _describe(seen: Windows, inference: Inference, one: LikelyCause) -> CarDeviation:
     """Return the record of a finding within a scope."""
     family, when, effect = one.family, one.when, effects.get(one.variant)
-    coefficient = describe_coefficient(effect, one.size.estimate)
+    coefficient = replace(describe_coefficient(effect, one.size.estimate), plausible=one.is_plausible)  # of either sign
     columns = [f"{EFFECT_PREFIX}{one.variant}"]
     since, limits = None, None
     if family.of == "car":
@@ -96,7 +97,6 @@ def _describe(seen: Windows, inference: Inference, one: LikelyCause) -> CarDevia
                 effect=name,
                 probability=one.causes[name],
                 shown_by=effects.get(name).shown_by,
-                plausible=coefficient.plausible if name == one.effect else None,
             )
             for name in list_credible(one.causes)
         ],

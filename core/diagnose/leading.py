@@ -11,10 +11,9 @@ from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
 def find_leading(result: Diagnosis) -> NamedEffect | CarDeviation | None:
     """Return what the headline begins with; None where nothing is named.
 
-    A missing effect comes before a deviation, but an implausible coefficient comes after a plausible one.
+    A missing effect comes before a deviation.
     """
-    ranked = (result.leading, find_leading_deviation(result.deviations))
-    return min((one for one in ranked if one), key=lambda one: not one.coefficient.plausible, default=None)
+    return result.leading or find_leading_deviation(result.deviations)
 
 
 def find_addable(result: Diagnosis, tried: Collection[str] = ()) -> NamedEffect | CarDeviation | None:

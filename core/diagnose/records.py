@@ -31,7 +31,6 @@ class CauseProbability(Record, frozen=True):
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "chance")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
-    plausible: Annotated[bool | None, declare("Whether its coefficient would be plausible; None if unknown.")] = None
 
 
 class RivalEffect(Record, frozen=True):
@@ -402,7 +401,7 @@ class Diagnosis(Record, frozen=True):
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
     biased_bins: Annotated[list[BiasedBin], declare("Bins whose bias differs from zero, the largest first.")] = []
     missing: Annotated[
-        list[NamedEffect], declare("Effects missing in all cars, plausible ones first, then by gain.")
+        list[NamedEffect], declare("Effects missing in all cars, in the order in which to add them.")
     ] = []
     tested: Annotated[list[TestedEffect], declare("All effects, the most probable first.")] = field(
         name="candidates", default_factory=list

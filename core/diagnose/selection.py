@@ -187,9 +187,8 @@ def select_missing(
 ) -> Selection:
     """Return the missing effects in the order in which to add them.
 
-    Plausible ones whose gain is certain come first, then other plausible ones, then implausible ones. In each
-    of these groups those that physics expects in every car come last, and the effect with the largest gain beside those
-    before it comes next.
+    Those whose gain is certain come first. In each of both groups those that physics expects in every car come last,
+    and the effect with the largest gain beside those before it comes next.
 
     Parameters
     ----------
@@ -217,8 +216,6 @@ def select_missing(
     return Selection(base.reweight(np.column_stack([each.column for each in ranked])), clusters, tuple(ranked), seed)
 
 
-def _order(each: MissingEffect) -> tuple[bool, bool, bool, float]:
+def _order(each: MissingEffect) -> tuple[bool, bool, float]:
     """Return a key that sorts effects into the order of `select_missing`."""
-    is_plausible = effects.get(each.variant).is_plausible(*each.size.interval)
-    is_certain = is_plausible and each.gain.interval[0] > 0.0
-    return not is_certain, not is_plausible, each.expected, -each.gain.value
+    return each.gain.interval[0] <= 0.0, each.expected, -each.gain.value

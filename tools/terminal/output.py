@@ -28,7 +28,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "compare": 2,
     "condition": 1,
     "demo": 1,
-    "diagnose": 6,
+    "diagnose": 7,
     "effect": 1,
     "effects": 1,
     "elevation": 1,

@@ -84,11 +84,11 @@ def test_effect_that_began_in_one_car_is_found_with_car_and_date():
     assert np.mean(late) - np.mean(early) == pytest.approx(0.08, abs=0.02)
 
 
-def test_plausible_causes_stand_before_implausible_ones():
-    """A change of a third of the energy exceeds the range of some causes of its credible set."""
+def test_change_that_exceeds_the_range_of_some_causes_has_a_plausible_one():
     deviations, _ = find({f"roof_load {SINCE}": 0.35})
+    assert deviations
     for one in deviations:
-        assert one.coefficient.plausible == one.causes[0].plausible
+        assert one.coefficient.plausible
         assert one.days > 1.0
 
 
