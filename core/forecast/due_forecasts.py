@@ -10,13 +10,13 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.forecast.day_rollover import DayRollover
 from socast.core.forecast.engine import DueInput, ForecastEngine
-from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.forecast_rows import Rows
 from socast.core.forecast.messages import build_forecasts
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
-from socast.core.forecast.plausibility import withhold_implausible
-from socast.core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
+from socast.core.forecast.plausibility import withhold_charge, withhold_implausible
+from socast.core.forecast.tables import tabulate_outlooks, tabulate_shifts
 from socast.core.forecast.weather_forecasts import ForecastArrival
-from socast.core.forecast.what_if import answer_query, explain_unknown_vehicle, withhold_charge
+from socast.core.forecast.what_if import answer_query, explain_unknown_vehicle
 from socast.core.totals.accumulator import Sums, Totals, join_totals
 from socast.core.vehicles.fleet import ReplacedKind
 from socast.core.wire.messages import Leg, Message, Outlook, Plan
@@ -127,9 +127,8 @@ class DueForecasts:
         self.pending, self.keep_outlooks = PendingInput(none, keep=keep), keep_outlooks
         self.engine, self._none, self._names, self._prefix = engine, none, names, prefix
         self._totals: list[Totals] = []
-        self._rows: list[ForecastRows] = []
+        self._rows, self._outlooks = list[Rows](), list[Rows]()
         self._built: list[Message] = []
-        self._published: list[PublishedForecasts] = []
 
     def add(self, sums: Sums, rows: int, place: int) -> None:
         """Add the totals of a number of rows, before a place in the batch."""
@@ -153,7 +152,7 @@ class DueForecasts:
             self._totals.append(running)
             self._rows.append(rows)
             if self.keep_outlooks:
-                self._published.append(PublishedForecasts.create(running, rows))
+                self._outlooks.append(rows)
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
@@ -196,7 +195,7 @@ class DueForecasts:
     def take_outlooks(self) -> pd.DataFrame:
         """Return and drop the table of the forecasts of the charge."""
         self.update()
-        taken, self._published = self._published, []
+        taken, self._outlooks = self._outlooks, []
         return tabulate_outlooks(taken, self.engine.context)
 
     def take_shifts(self) -> pd.DataFrame:
@@ -208,10 +207,10 @@ class DueForecasts:
         """Return and drop the forecasts whose messages are not built yet."""
         if not self._totals:
             return []
-        due, rows = join_totals(self._totals, self._none), ForecastRows.join(self._rows)
+        due, rows = join_totals(self._totals, self._none), np.concatenate(self._rows)
         self._totals, self._rows = [], []
         if newest_only:
             last = due.newest()
-            due, rows = due.rows(last), rows.rows(last)
+            due, rows = due.rows(last), rows[last]
         names = self._names.names(due.at_last("code").tolist())
         return build_forecasts(due, rows, names, self.engine.context, self._prefix, self.implausible)

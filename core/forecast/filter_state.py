@@ -131,8 +131,8 @@ SOC_ESTIMATE: Final = np.dtype(
         ("quantum", "f8"),  # of the reported state of charge [1]
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
-        ("reported", "f8"),  # last accepted reading in the shift [1]
-        ("predicted", "f8"),  # energy predicted since it woke [kWh]
+        ("last_soc", "f8"),  # last accepted reading in the shift [1]
+        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("begin", "f8"),  # of the shift [s]
         ("begin_soc", "f8"),  # [1]

@@ -1,7 +1,7 @@
 """Build the published forecasts from rows of running totals."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import repeat
 from math import isnan
 from typing import Any, Final, NamedTuple
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from socast.core.forecast.forecast_rows import PUBLISHED, ForecastRows
+from socast.core.forecast.forecast_rows import PUBLISHED, Rows
 from socast.core.forecast.plausibility import find_implausible
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
@@ -42,7 +42,7 @@ def count_quality(totals: Totals) -> dict[str, list[int]]:
 
 def build_forecasts(
     running: Totals,
-    rows: ForecastRows,
+    rows: Rows,
     ride_names: Sequence[str | None],
     context: RunContext,
     prefix: str,
@@ -52,10 +52,10 @@ def build_forecasts(
 
     The receipt time is the event time of the sample behind the forecast.
     """
-    ride = RideSoFar.create(running, rows.predicted, context)
+    ride = RideSoFar.create(running, rows["predicted"], context)
     withheld = find_implausible(running, rows, ride.predicted, ride.measured, context.cars)
     implausible.update(cause for cause in withheld if cause)
-    forecasts = fill_forecasts(running, rows._asdict(), ride, ride_names, context)
+    forecasts = fill_forecasts(running, rows, ride, ride_names, context)
     encode = msgspec.json.Encoder().encode
     new = tuple.__new__  # half the time of Message()
     return [
@@ -82,14 +82,14 @@ class RideSoFar(NamedTuple):
 
 def fill_forecasts(
     running: Totals,
-    columns: Mapping[str, Floats],
+    columns: NDArray[np.void],
     ride: RideSoFar,
     ride_names: Sequence[str | None],
     context: RunContext,
 ) -> Iterator[Forecast]:
     """Return one forecast per row of running totals; NaN stands for an unknown number, and is encoded as null.
 
-    `columns` holds those of `ForecastRows` that are published.
+    `columns` holds those of `FORECAST_ROW` that are published.
     """
     names, riding = context.vehicle_ids, ride.is_riding
     values: dict[str, Iterable[Any]] = {
@@ -110,7 +110,7 @@ def fill_forecasts(
     return map(Forecast, *map(values.__getitem__, Forecast.__struct_fields__))
 
 
-def _list_charges(columns: Mapping[str, Floats]) -> list[NextCharge | UnsetType]:
+def _list_charges(columns: NDArray[np.void]) -> list[NextCharge | UnsetType]:
     """Return the forecasts of the next planned charges, UNSET where none is ahead."""
     mean, low, high = (100.0 * columns[name] for name in list_interval_columns("charge_soc"))
     if np.isnan(mean).all():
@@ -122,7 +122,7 @@ def _list_charges(columns: Mapping[str, Floats]) -> list[NextCharge | UnsetType]
 
 def list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
     """Return intervals, None where the quantity is unknown."""
-    unknown = np.isnan(mean) | np.isnan(low) | np.isnan(high)
+    unknown = ~(np.isfinite(mean) & np.isfinite(low) & np.isfinite(high))
     if unknown.all():
         return [None] * len(mean)
     intervals: list[Interval | None] = list(map(Interval, mean.tolist(), low.tolist(), high.tolist()))

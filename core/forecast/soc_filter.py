@@ -328,8 +328,8 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.curve = state.curve
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
-    out.charged, out.faulty, out.reported = state.charged, find_lasting_fault(state), state.last_soc
-    out.predicted, out.level = state.awake_predicted, state.level
+    out.charged, out.faulty, out.last_soc = state.charged, find_lasting_fault(state), state.last_soc
+    out.awake_predicted, out.level = state.awake_predicted, state.level
     out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
     out.usual = state.usual + lasting * (out.log_factor - state.usual)

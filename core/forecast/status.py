@@ -76,9 +76,8 @@ def build_statuses(
     newest : (n,) NEWEST_FORECAST
     """
     cars, ride = context.cars, RideSoFar.create(running, predicted[0], context)
-    columns = {name: newest[name] for name in newest.dtype.names or ()}
     over = find_ended_shifts(running.at_last("time"), silence, newest["shift_end_s"], ride.is_riding).tolist()
-    forecasts = map(_replace_unknown, fill_forecasts(running, columns, ride, ride_names, context), over)
+    forecasts = map(_replace_unknown, fill_forecasts(running, newest, ride, ride_names, context), over)
     models = [cars.name(kind) for kind in cars.of_lane[running.lane].tolist()]
     soc = (running.at_last("soc") * 100.0).tolist()
     shadows = np.column_stack([np.where(ride.is_riding, each, np.nan) for each in (running.lane, *predicted[1:])])

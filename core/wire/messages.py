@@ -194,7 +194,7 @@ class Forecast(Wire, omit_defaults=False):
     """Forecast for a vehicle, published by the consumer: `fleet/{vehicle_id}/forecast`."""
 
     # A further output is declared here with a default, so that forecasts of earlier versions can be read, and computed
-    # as a column of `socast.core.forecast.forecast_rows.ForecastRows`. The state, the terminal, the board of the
+    # as a column of `socast.core.forecast.forecast_rows.FORECAST_ROW`. The state, the terminal, the board of the
     # workbench and the pages of reference derive it; the table of outlooks and log lines name their fields.
     vehicle_id: Annotated[str, means("Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, means("Repaired time of the newest sample. [Unix s]")]

@@ -87,6 +87,11 @@ class Outcome(NamedTuple):
     predicted: float = nan
     level: float = nan
 
+    @classmethod
+    def read(cls, record: NDArray[np.void]) -> "Outcome":
+        """Return the outcome at a FORECAST_ROW or a CLOSED_SHIFT."""
+        return cls(*(float(record[name]) for name in ("last_soc", "charged", "faulty", "awake_predicted", "level")))
+
 
 class ShiftErrors(NamedTuple):
     """Hold the errors of the n forecasts of one shift with the same basis.
