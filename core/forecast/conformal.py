@@ -66,6 +66,12 @@ DAY_CORRELATION: Final = 0.3
 DAY_MEMORY: Final = 0.98
 """Weight of a day's shifts one day later."""
 
+_EDGES: Final = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
+_PRIOR: Final = np.array([np.diff(stdtr(PRIOR_FREEDOM, _EDGES / scale)) for scale in PRIOR_SCALES])
+"""Share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
+_CLASSES: Final = np.arange(len(DISTANCE_CLASSES))
+_SHARES: Final = SHARE_OF_NEXT ** np.abs(_CLASSES - _CLASSES[:, np.newaxis])
+"""Weight of each class of distance for each, (distances, distances)."""
 _ARRAYS: Final = "_counts", "_widening", "table"
 BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 """A value for each of the two bounds of an interval."""
@@ -142,7 +148,8 @@ class ConformalIntervals:
         """Replace the state by one that `dump` returned."""
         today, bounds, arrays = state
         self.today.load(today)
-        check_scores(self.today)
+        if self.today.get("scores").min() < 0.0:
+            raise ValueError("a negative number of shifts")
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
@@ -150,7 +157,7 @@ class ConformalIntervals:
 
 def _borrow_counts(basis: int, counts: Floats) -> Floats:
     """Return the counts of the classes of a basis with what each borrows from the others and from the prior."""
-    around = _weigh_neighbours(len(counts)) @ counts + PRIOR_SHIFTS * _make_prior()[basis]
+    around = _SHARES @ counts + PRIOR_SHIFTS * _PRIOR[basis]
     return np.asarray(counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True))
 
 
@@ -171,26 +178,6 @@ def _compute_first_quantiles(basis: int) -> tuple[Floats, Any]:
     """Return the quantiles and the bounds of the classes of a basis before the first shift, from the prior alone."""
     classes = len(DISTANCE_CLASSES)
     return _compute_class_quantiles(_borrow_counts(basis, np.zeros((classes, len(SCORES)))), np.zeros((classes, 2)))
-
-
-def check_scores(day: DaySums) -> None:
-    """Raise ValueError where a day counts fewer than no scores."""
-    if day.get("scores").min() < 0.0:
-        raise ValueError("a negative number of shifts")
-
-
-@cache
-def _make_prior() -> Floats:
-    """Return the share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
-    edges = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
-    return np.array([np.diff(stdtr(PRIOR_FREEDOM, edges / scale)) for scale in PRIOR_SCALES])
-
-
-@cache
-def _weigh_neighbours(size: int) -> Floats:
-    """Return the weight of each of `size` classes for each of them, (size, size)."""
-    place = np.arange(size)
-    return np.asarray(SHARE_OF_NEXT ** np.abs(place - place[:, np.newaxis]), np.float64)
 
 
 def weigh_day(shifts: int) -> float:

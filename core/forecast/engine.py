@@ -133,7 +133,7 @@ class ForecastEngine:
             return self.statistics.get_tables(lane, kinds.find(lane, at))
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
-        self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
+        self.statistics.charged_soc.add_charges(self.plans.outcomes)
         time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
@@ -193,8 +193,7 @@ class ForecastEngine:
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"], out["car_kind"] = totals.lane, totals.at_last("time"), kind
-        energies = self.statistics.predict_energies(totals, weights)
-        out["predicted"], out["warm_up"], out["level"], out["level_sd"] = energies
+        self.statistics.predict_energies(totals, weights, out)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient

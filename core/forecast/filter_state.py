@@ -118,6 +118,14 @@ FILTER_EVENT: Final = np.dtype(
 )
 """Input of the filter: totals of a ride or idle period, or the name of a driver."""
 
+_OF_BOTH: Final = [
+    (name, "f8")
+    for name in (
+        *("shift", "begin", "begin_soc", "last_soc", "curve", "distance", "awake_predicted", "level"),
+        *("charged", "faulty"),
+    )
+]
+"""Fields of the state that an estimate and a closed shift copy; `faulty` is NaN once the reading has recovered."""
 SOC_ESTIMATE: Final = np.dtype(
     [
         ("soc", "f8"),  # published state of charge [1]
@@ -125,24 +133,10 @@ SOC_ESTIMATE: Final = np.dtype(
         ("log_factor", "f8"),  # `a - c`
         ("log_factor_variance", "f8"),
         ("covariance", "f8"),  # of `soc` and `log_factor`
-        ("ambient", "f8"),  # outside temperature [K]
-        ("shift", "f8"),  # ordinal of the shift
-        ("curve", "f8"),  # of the display [1]
-        ("quantum", "f8"),  # of the reported state of charge [1]
-        ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
-        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
-        ("last_soc", "f8"),  # last accepted reading in the shift [1]
-        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
-        ("level", "f8"),  # of the tables that predict it, as a logarithm
-        ("begin", "f8"),  # of the shift [s]
-        ("begin_soc", "f8"),  # [1]
-        ("distance", "f8"),  # driven in the shift [m]
         ("usual", "f8"),  # expected `log_factor` of the shift, before any of its data
-        ("arrived", "f8"),  # when the last charge within the shift began, NaN for none [s]
-        ("arrival_soc", "f8"),  # last reading before that charge [1]
-        ("unplugged", "f8"),  # when it ended, NaN while it lasts [s]
-        ("departed", "f8"),  # 1 once the car has driven on after it
-        ("charged_soc", "f8"),  # last reading before it departed [1]
+        ("departed", "f8"),  # 1 once the car has driven on after the last charge within the shift
+        *_OF_BOTH,
+        *((name, "f8") for name in ("ambient", "quantum", "arrived", "arrival_soc", "unplugged", "charged_soc")),
     ]
 )
 """Output of the filter after each event."""
@@ -151,23 +145,10 @@ CLOSED_SHIFT: Final = np.dtype(
     [
         ("event", "i8"),  # index of the event that closed the shift
         ("lane", "i8"),
-        ("shift", "f8"),  # ordinal
-        ("begin", "f8"),  # [s]
-        ("end", "f8"),  # [s]
-        ("begin_soc", "f8"),  # [1]
-        ("last_soc", "f8"),  # [1]
-        ("lowest_soc", "f8"),  # [1]
-        ("curve", "f8"),  # of the display [1]
-        ("distance", "f8"),  # [m]
-        ("ride_distance", "f8"),  # [m]
-        ("hours", "f8"),  # awake [h]
-        ("predicted", "f8"),  # energy predicted since the car departed [kWh]
-        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
-        ("warmth", "f8"),  # [K h]
-        ("level", "f8"),  # of the tables that predict it, as a logarithm
-        ("charged", "f8"),  # time of the last charging, NaN for none [s]
-        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
+        ("end", "f8"),  # time of the newest event [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one
+        *_OF_BOTH,
+        *((name, "f8") for name in ("lowest_soc", "ride_distance", "hours", "predicted", "warmth")),
     ]
 )
 """Summary of a shift that has ended."""

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import repeat
-from math import isnan
+from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -27,9 +27,9 @@ _COUNTED: Final = {
 }
 
 
-def none_if_nan(value: float) -> float | None:
-    """Return the value, None for NaN: unknown values are published as null."""
-    return None if isnan(value) else value
+def none_if_unknown(value: float) -> float | None:
+    """Return a number, None where it is not finite: unknown values are published as null."""
+    return value if isfinite(value) else None
 
 
 def count_quality(totals: Totals) -> dict[str, list[int]]:
@@ -117,7 +117,7 @@ def _list_charges(columns: NDArray[np.void]) -> list[NextCharge | UnsetType]:
         return [UNSET] * len(mean)
     times, risks = columns["charge_time"].tolist(), columns["charge_risk"].tolist()
     parts = zip(times, list_intervals(mean, low, high), risks, strict=True)
-    return [UNSET if soc is None else NextCharge(when, soc, none_if_nan(risk)) for when, soc, risk in parts]
+    return [UNSET if soc is None else NextCharge(when, soc, none_if_unknown(risk)) for when, soc, risk in parts]
 
 
 def list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:

@@ -203,6 +203,6 @@ def estimate_after_charge(
 
 def compute_energy_after_charges(progress: NDArray[np.void], times: PlanTimes, usual: UsualConsumption) -> MeanAndSd:
     """Return the energy from the last planned charge to the end of the shift. [kWh]"""
-    driving = np.asarray(np.einsum("ij,ij->i", progress["after_kwh"], usual.weights))
+    driving = usual.weigh(progress["after_kwh"])
     waiting = times.waiting_after * usual.standing_power + progress["after_legs"] * usual.approach_energy
     return usual.expect_plan(np.column_stack([driving, waiting]))

@@ -26,7 +26,7 @@ from socast.core.errors import AskError, suggest_names
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
-from socast.core.forecast.messages import list_intervals
+from socast.core.forecast.messages import list_intervals, none_if_unknown
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     EnergyAhead,
@@ -212,7 +212,7 @@ class CarOutlook:
             return None
         waiting = self.ahead.planned[:, 1] * self.now.usual.plan_factor[:, 1] * np.exp(self.state["log_capacity"])
         factor = np.exp(self.now.estimate.compute_mean_log_factor(self.ahead.hours))
-        return _none_if_unknown(float((waiting * factor)[0]))
+        return none_if_unknown(float((waiting * factor)[0]))
 
 
 def _stack(soc: SocForecast) -> Floats:
@@ -249,7 +249,7 @@ def _describe_leg(leg: Leg, energy: Interval | None, soc: Interval | None, risk:
     """Return the outlook of a leg."""
     if leg.charge_to_soc_pct is not None:
         return LegOutlook(0.0, leg.duration_s, None, soc, leg.charge_to_soc_pct)
-    return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=_none_if_unknown(risk))
+    return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=none_if_unknown(risk))
 
 
 def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
@@ -265,22 +265,22 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     capacity_sd = car.usable_kwh * float(np.hypot(np.sqrt(car.state["p_cc"]), METER_GAIN_SD))
     ended = plan is None and left is None and lane in tracker.plans
     no_energy = _explain_unknown_energy(car, later=lane in tracker.later, ended=ended)
-    next_charge = charge and NextCharge(float(soc.charge_time[0]), charge, _none_if_unknown(float(soc.charge.risk[0])))
+    next_charge = charge and NextCharge(float(soc.charge_time[0]), charge, none_if_unknown(float(soc.charge.risk[0])))
     return Outlook(
         vehicle_id=engine.context.vehicle_ids[lane],
         time_s=time,
         model=engine.context.model_label,
-        soc_pct=_none_if_unknown(100.0 * float(now.estimate.soc[0])),
-        soc_sd_pct=_none_if_unknown(100.0 * float(compute_soc_sd(now.estimate)[0])),
-        usable_capacity_kwh=_none_if_unknown(car.usable_kwh),
-        usable_capacity_sd_kwh=_none_if_unknown(capacity_sd),
-        consumption_scale=_none_if_unknown(float(np.exp(car.state["log_consumption"]))),
+        soc_pct=none_if_unknown(100.0 * float(now.estimate.soc[0])),
+        soc_sd_pct=none_if_unknown(100.0 * float(compute_soc_sd(now.estimate)[0])),
+        usable_capacity_kwh=none_if_unknown(car.usable_kwh),
+        usable_capacity_sd_kwh=none_if_unknown(capacity_sd),
+        consumption_scale=none_if_unknown(float(np.exp(car.state["log_consumption"]))),
         asked=None if car.query_place is None else legs.pop(car.query_place),
         legs=legs,
-        shift_end_s=_none_if_unknown(float(ahead.end[0])),
+        shift_end_s=none_if_unknown(float(ahead.end[0])),
         soc_end_of_shift_pct=end,
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
-        reserve_risk=_none_if_unknown(float(soc.end.risk[0])),
+        reserve_risk=none_if_unknown(float(soc.end.risk[0])),
         why_not=None if end else _explain_unknown_end(car, no_energy),
         next_charge=next_charge or UNSET,
         waiting_energy_kwh=car.compute_waiting_energy(),
@@ -334,8 +334,3 @@ def _explain_unknown_end(car: CarOutlook, no_energy: str | None) -> str:
             f"{' or '.join(OVERRIDES)}; describe the car with `socast vehicles new`"
         )
     return no_energy or "the temperature or the energy ahead is unknown"
-
-
-def _none_if_unknown(value: float) -> float | None:
-    """Return a number, None where it is not finite."""
-    return value if np.isfinite(value) else None

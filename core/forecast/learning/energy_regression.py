@@ -141,8 +141,7 @@ class ModelSums:
         """Let the rows of the day take effect."""
         if not self.today.get("counts").any():
             return
-        for name in ("matrix", "right", "terms", "rides", "idle", "counts"):
-            self.known.add(name, self.today.get(name) - (1.0 - DAY_MEMORY) * self.known.get(name))
+        self.known.age(DAY_MEMORY, self.today)
         self.forget_day()
         before, terms = self.mean, self.known.get("terms")
         self.mean = self.solve(prior)[0]

@@ -76,9 +76,7 @@ class PlanOutcomes:
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
         if shifts := int(self.today.get("shifts")):
-            for name in ("matrix", "right", "squares", "shifts"):
-                known = self._known.get(name)
-                self._known.add(name, weigh_day(shifts) * self.today.get(name) - (1.0 - DAY_MEMORY) * known)
+            self._known.age(DAY_MEMORY, self.today, weigh_day(shifts))
         self.today.clear()
         self._compute_factors()
 
