@@ -27,14 +27,9 @@ from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.stats.conformal import compute_counted_quantiles
 from socast.core.totals.day_sums import DaySums
 
-BY_PLAN: Final = 0
-"""Basis of a forecast: the plan."""
-BY_HISTORY: Final = 1
-"""Basis of a forecast: the earlier shifts of the car."""
-TO_CHARGE: Final = 2
-"""Basis of a forecast of the charge at the beginning of the next planned charge: the plan."""
-OVER_CHARGE: Final = 3
-"""Basis of a forecast for the end of the shift with planned charges before it: the plan."""
+BY_PLAN, BY_HISTORY, TO_CHARGE, OVER_CHARGE = range(4)
+"""Bases of a forecast: the plan; the earlier shifts of the car; the plan, for the charge at the beginning of the next
+planned charge; the plan, for the end of the shift with planned charges before it."""
 BASES: Final = 4
 """Number of bases of a forecast."""
 DISTANCE_CLASSES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
@@ -89,18 +84,13 @@ class ErrorBounds(NamedTuple):
 
 
 class ConformalIntervals:
-    """Learn standardised errors by class, and provide their quantiles.
-
-    A class is (basis, distance), where the basis is `BY_PLAN`, `BY_HISTORY`, `TO_CHARGE` or `OVER_CHARGE`.
+    """Learn standardised errors by class of basis and distance, and provide their quantiles.
 
     Attributes
     ----------
-    table : (bases, distances, levels) float
-        Quantiles of the standardised error. [1]
-    bounds : (bases, distances) BOUND_PAIR
-        Bounds that contain the standardised error with 90 %. [1]
-    today : DaySums
-        Since the last daily update: number of shifts, scores, and misses beyond the intended share, below and above.
+    table : Quantiles of the standardised error, (bases, distances, levels) float. [1]
+    bounds : Bounds that contain the standardised error with 90 %, (bases, distances) BOUND_PAIR. [1]
+    today : Since the last daily update: shifts, scores, and misses beyond the intended share, below and above.
     """
 
     def __init__(self) -> None:
@@ -207,12 +197,7 @@ def classify(ahead_km: Floats) -> Ints:
 
 
 def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
-    """Return quantiles that are consistent with given bounds.
-
-    Parameters
-    ----------
-    lower, upper : float
-        Quantiles of `LOWER_LEVEL` and `UPPER_LEVEL`, which replace those of the table. The others are clipped.
+    """Return quantiles that are consistent with bounds, which replace those of `LOWER_LEVEL` and `UPPER_LEVEL`.
 
     Examples
     --------

@@ -31,21 +31,12 @@ class PendingInput:
     """Collect totals, dispatch messages and weather forecasts until it pays to compute forecasts.
 
     Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
-    are counted from the first pending batch.
-
-    Parameters
-    ----------
-    keep : bool
-        False drops all input, for a consumer without forecasts.
-
-    Attributes
-    ----------
-    before : int
-        Number of messages since the first pending batch, before the present one.
+    are counted from the first pending batch: `before` is their number before the present one. Without `keep`, for a
+    consumer without forecasts, all input is dropped.
     """
 
     def __init__(self, none: Totals, *, keep: bool = True) -> None:
-        self._none, self.keep = none, keep
+        self._none, self._nothing, self.keep = none, Sums(none, none, none, none), keep
         self._sums: list[Sums] = []
         self._arrivals: list[PlanArrival | DriverNamed | ForecastArrival] = []
         self._replaced: list[ReplacedKind] = []
@@ -93,11 +84,9 @@ class PendingInput:
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
         forecasts = [each for each in due if isinstance(each, ForecastArrival)]
-        rides, idle, running = (
-            join_totals([getattr(each, name) for each in sums], self._none)
-            for name in ("rides", "idle_periods", "running")
-        )
-        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, forecasts, replaced)
+        used = [each._replace(windows=self._none) for each in sums]
+        joined = Sums(*(join_totals(parts, self._none) for parts in zip(*used, strict=True))) if used else self._nothing
+        return DueInput(joined, plans, drivers, forecasts, replaced)
 
 
 class DueForecasts:
@@ -105,19 +94,14 @@ class DueForecasts:
 
     Parameters
     ----------
-    names : RideNames
-        Names of the rides in the totals.
-    prefix : str
-        Chunks before `fleet` in the keys, with a slash at the end.
-    keep : bool
-        False computes no forecasts.
-    keep_outlooks : bool
-        True keeps the forecasts of the charge, and the shifts, until their tables are taken.
+    names : Names of the rides in the totals.
+    prefix : Chunks before `fleet` in the keys, with a slash at the end.
+    keep : False computes no forecasts.
+    keep_outlooks : True keeps the forecasts of the charge, and the shifts, until their tables are taken.
 
     Attributes
     ----------
-    implausible : Counter of str
-        Number of forecasts and answers that were withheld, by cause, see `socast.core.forecast.plausibility`.
+    implausible : Number of forecasts and answers that were withheld, by cause.
     """
 
     def __init__(

@@ -57,8 +57,7 @@ class DueInput(NamedTuple):
 
     Parameters
     ----------
-    replaced : sequence of ReplacedKind
-        Kinds of car that vehicle messages replaced among these messages, and after them.
+    replaced : Kinds of car that vehicle messages replaced among these messages, and after them.
     """
 
     sums: Sums
@@ -274,13 +273,7 @@ class ForecastEngine:
         self.plans.renew_energies(midnight, self.statistics.get_tables)
 
     def finish(self, *, interrupted: bool = False) -> None:
-        """Close every shift in progress at the end of the stream.
-
-        Parameters
-        ----------
-        interrupted : bool
-            Whether the stream ends within shifts. Then only those that are over by plan are closed.
-        """
+        """Close every shift in progress at the end of the stream; if it interrupts them, those over by plan."""
         is_open = self.state["shift"] >= 0.0
         if interrupted:
             progress = self.plans.progress[: len(is_open)]

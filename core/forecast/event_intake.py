@@ -9,7 +9,7 @@ from socast.core.batch import Batch
 from socast.core.cleaning.segmentation import SILENCE, UNKNOWN_NAME
 from socast.core.forecast.day_rollover import DailyUpdate
 from socast.core.forecast.due_forecasts import DueForecasts
-from socast.core.forecast.newest_plans import NewestPlans
+from socast.core.forecast.plan_checks import NewestPlans
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
 from socast.core.forecast.silent_cars import RestOfBatch, SilentCars
 from socast.core.forecast.weather_forecasts import ForecastArrival

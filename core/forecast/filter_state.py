@@ -11,12 +11,9 @@ DEFAULT_QUANTUM: Final = 0.01
 CAPACITY_SD: Final = 0.15
 """Standard deviation of `log_capacity` before any data, from age, temperature and the car's definition of full. [1]"""
 
-RUNNING: Final = 0
-"""Event kind: totals of the ride or idle period in progress."""
-CLOSED: Final = 1
-"""Event kind: totals of a ride or idle period that has ended."""
-DRIVER_NAMED: Final = 2
-"""Event kind: identity of the driver from the next running totals on."""
+RUNNING, CLOSED, DRIVER_NAMED = range(3)
+"""Kinds of events: totals of the ride or idle period in progress; totals of one that has ended; identity of the driver
+from the next running totals on."""
 
 FILTER_STATE: Final = np.dtype(
     [
@@ -26,13 +23,7 @@ FILTER_STATE: Final = np.dtype(
         ("curve", "f8"),  # of the display, see `socast.core.totals.display_yield`, in this shift [1]
         ("log_consumption", "f8"),  # `a`: log of the used over the predicted energy
         ("log_capacity", "f8"),  # `c`: log of the usable over the nominal capacity
-        # covariance matrix of (soc, a, c)
-        ("p_ss", "f8"),
-        ("p_sa", "f8"),
-        ("p_sc", "f8"),
-        ("p_aa", "f8"),
-        ("p_ac", "f8"),
-        ("p_cc", "f8"),
+        *((name, "f8") for name in ("p_ss", "p_sa", "p_sc", "p_aa", "p_ac", "p_cc")),  # covariances of (soc, a, c)
         ("compared_predicted", "f8"),  # energy predicted since both energies were compared last [kWh]
         ("compared_used", "f8"),  # energy measured since then [kWh]
         ("fall", "f8"),  # charge used since the last accepted reading [1]
@@ -44,13 +35,8 @@ FILTER_STATE: Final = np.dtype(
         ("jump", "f8"),  # jumps of the reading that were accepted in the shift, less those that were taken back [1]
         ("charging", "f8"),  # 1 while plugged in
         ("plugged", "f8"),  # since when [s]
-        # totals of the ride or idle period in progress at the previous event
-        ("seen_predicted", "f8"),  # [kWh]
-        ("seen_metered", "f8"),  # [kWh]
-        ("seen_meter_time", "f8"),  # [s]
-        ("seen_time", "f8"),  # [s]
-        ("seen_ambient", "f8"),  # [K s]
-        ("seen_distance", "f8"),  # [m]
+        # totals of the ride or idle period in progress at the previous event, see `FILTER_EVENT`
+        *((f"seen_{name}", "f8") for name in ("predicted", "metered", "meter_time", "time", "ambient", "distance")),
         ("ambient", "f8"),  # newest outside temperature [K]
         ("shift", "f8"),  # ordinal of the shift
         ("begin", "f8"),  # of the shift [s]

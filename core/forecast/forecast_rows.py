@@ -108,10 +108,8 @@ class PublishedField(NamedTuple):
 
     Parameters
     ----------
-    columns : tuple of str
-        The column of a number, or those of mean and percentiles of an interval.
-    scale : float
-        Value of one unit of a column in the unit of the field.
+    columns : The column of a number, or those of mean and percentiles of an interval.
+    scale : Value of one unit of a column in the unit of the field.
     """
 
     name: str

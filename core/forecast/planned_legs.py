@@ -50,14 +50,9 @@ class PlannedLegs(NamedTuple):
 
     Parameters
     ----------
-    energy : (legs, temperatures) float
-        [kWh]
-    begun_energy : (legs, temperatures) float
-        Energy of each leg once it has begun. [kWh]
-    km, seconds : (legs,) float
-        Distance [km] and duration [s]. A charge has no distance and takes no energy.
-    charge_to : (legs,) float
-        Charge after a charge, NaN of rides. [1]
+    energy, begun_energy : Energy of each leg, and once it has begun, (legs, temperatures) float. [kWh]
+    km, seconds : Distance [km] and duration [s], (legs,) float. A charge has no distance and takes no energy.
+    charge_to : Charge after a charge, NaN of rides, (legs,) float. [1]
     """
 
     plan: Plan

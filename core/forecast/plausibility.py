@@ -46,10 +46,7 @@ JUMP: Final = 100_000.0
 def find_implausible(running: Totals, rows: Rows, predicted: Floats, measured: Floats, cars: Cars) -> list[str | None]:
     """Return why each forecast is not plausible.
 
-    Parameters
-    ----------
-    predicted, measured : (n,) float
-        Energy of the ride in progress, NaN where unknown. [kWh]
+    Units: predicted [kWh] and measured [kWh] of the ride in progress, NaN where unknown.
     """
     kind = running.at_last("kind").astype(np.int64)
     capacity = replace_nan(cars.capacity[kind], LARGEST_BATTERY)
@@ -78,13 +75,7 @@ def find_implausible(running: Totals, rows: Rows, predicted: Floats, measured: F
 
 
 def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook:
-    """Return an answer without its energies and charges ahead where these are not plausible.
-
-    Returns
-    -------
-    Outlook
-        The given one where it is plausible; else one whose field `why_not` names the cause.
-    """
+    """Return an answer without energies and charges ahead that are not plausible; its `why_not` names the cause."""
     legs = [*outlook.legs, *([outlook.asked] if outlook.asked else [])]
     charges = [outlook.soc_end_of_shift_pct, *(leg.soc_pct for leg in legs)]
     if outlook.next_charge:

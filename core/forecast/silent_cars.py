@@ -37,11 +37,8 @@ class SilentCars:
     def begin_day(self, midnight: float, since: float, needed: Ints) -> Ints | None:
         """Begin a day, and return the lanes that are kept; None if all are.
 
-        Parameters
-        ----------
-        since : float
-            Lanes of which nothing was heard since then are not kept, unless they are needed or among the newest samples
-            of the fleet. [Unix s]
+        Not kept are those of which nothing was heard since a time [Unix s], unless they are needed or among the newest
+        samples of the fleet.
         """
         self._day[np.isinf(self._day)] = midnight
         self._now = midnight
@@ -73,12 +70,9 @@ class RestOfBatch(NamedTuple):
 
     Parameters
     ----------
-    events : list of Event
-        Messages between the rows of the batch.
-    first : int
-        Number of the first event of the rest.
-    midnight : float
-        Midnight at which the day ends that the update begins. [Unix s]
+    events : Messages between the rows of the batch.
+    first : Number of the first event of the rest.
+    midnight : Midnight at which the day ends that the update begins. [Unix s]
     """
 
     batch: Batch

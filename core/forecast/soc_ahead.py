@@ -115,16 +115,11 @@ class SocAhead(NamedTuple):
 
     Parameters
     ----------
-    end : SocForecast
-        Its risk is that of falling below the reserve at any time before.
-    charge : SocForecast
-        NaN of cars without a planned charge, and at the charger.
-    charge_time : (n,) float
-        When the next planned charge begins. [s]
-    basis : (n,) int
-        Of `end`: `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`.
-    charged : CarEstimate or None
-        Estimates after the last planned charge, of those cars that have one.
+    end : At the end; its risk is that of falling below the reserve at any time before.
+    charge : At the next charge; NaN of cars without a planned charge, and at the charger.
+    charge_time : When the next planned charge begins, (n,) float. [s]
+    basis : Basis of `end`, (n,) int: `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`.
+    charged : Estimates after the last planned charge, of those cars that have one.
     """
 
     end: SocForecast
@@ -181,14 +176,9 @@ def _take_rows(columns: _Columns, rows: Ints) -> _Columns:
 def estimate_after_charge(
     estimate: CarEstimate, charge_to: Floats, hours: Floats, charged_soc: ChargedSoc
 ) -> CarEstimate:
-    """Return the estimate of cars that have charged as planned.
+    """Return the estimate of cars that have charged as planned, some hours from now. [h]
 
-    Units: hours [h].
-
-    Returns
-    -------
-    CarEstimate
-        Its charge is independent of the consumption, which returns to the usual meanwhile and keeps wandering.
+    The charge is then independent of the consumption, which returns to the usual meanwhile and keeps wandering.
     """
     soc, variance = charged_soc.expect(charge_to)
     decay = np.exp(-hours / FACTOR_DECAY_TIME)

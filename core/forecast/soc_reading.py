@@ -154,9 +154,7 @@ def compute_jump_variance(state: Any) -> float:
 def compute_published_soc(state: Any, quantum: float) -> float:
     """Return the mean of the charge, given that the car's own estimate lies in the reported interval. [1]
 
-    Notes
-    -----
-    The mean of a normal truncated to `reported` plus or minus half a quantum, less what was used since that reading.
+    It is that of a normal truncated to `reported` plus or minus half a quantum, less what was used since that reading.
     Without a trusted reading, or if the next one should have come, it is the mean of the state.
     """
     untrusted = state.frozen == 1.0 or not isnan(state.suspect) or isnan(state.reported) or abs(state.fall) > quantum

@@ -59,14 +59,12 @@ _ROUNDING_KWH: Final = 1e-9
 
 
 class LegTimes(NamedTuple):
-    """Hold how the time and the energy ahead are spread over n legs.
+    """Hold how the time and the energy ahead are spread over n legs, (n,) float each.
 
     Parameters
     ----------
-    hours, pause : (n,) float
-        Time of each leg and of the wait before it. [h]
-    driving, idling : (n,) float
-        Energy of both. [kWh]
+    hours, pause : Time of each leg and of the wait before it. [h]
+    driving, idling : Energy of both. [kWh]
     """
 
     hours: Floats
@@ -78,19 +76,11 @@ class LegTimes(NamedTuple):
 class CarOutlook:
     """Answer a query about one car: its legs to drive until the end of the shift, and what they lead to.
 
-    Parameters
-    ----------
-    left : PlannedLegs or None
-        What is left of the plan, None without one.
-
     Attributes
     ----------
-    usable_kwh : float
-        Usable capacity, NaN where unknown. [kWh]
-    query_place : int or None
-        Index of the queried leg, None without one.
-    ahead : EnergyAhead
-        Until the next planned charge, or else the end of the shift.
+    usable_kwh : Usable capacity, NaN where unknown. [kWh]
+    query_place : Index of the queried leg, None without one.
+    ahead : Energy until the next planned charge, or else the end of the shift.
     """
 
     def __init__(self, engine: ForecastEngine, lane: int, left: PlannedLegs | None) -> None:
@@ -181,10 +171,7 @@ class CarOutlook:
     def _compute_stretch(self, soc: SocAhead, times: LegTimes, rows: Ints, number: int, basis: int) -> Floats:
         """Return the charge after each leg of a stretch between charges; a row for its end follows where known.
 
-        Returns
-        -------
-        (4, n) float
-            Mean and percentiles [%], and the probability that the charge is below the reserve [1].
+        It is (4, n): mean and percentiles [%], and the probability that the charge is below the reserve [1].
         """
         now, charges = self.now, np.flatnonzero(np.isfinite(self.legs.charge_to))
         begin, most, hours = now.estimate, float(now.estimate.soc[0]), times.hours[rows]
@@ -221,17 +208,11 @@ def _stack(soc: SocForecast) -> Floats:
 
 
 def make_consistent(charge: Floats, spent: Floats) -> Floats:
-    """Return charges ahead that do not rise while energy is spent.
+    """Return charges ahead, one point after another, that do not rise while energy is spent; NaN where unknown.
 
     Intervals are learned for each distance separately, so that a later one may be narrower. The last charge stays as it
-    is. The ones before are raised to it where necessary, because a car below it earlier is also below it later.
-
-    Parameters
-    ----------
-    charge : (n,) or (n, m) float
-        Means or percentiles, one point after another; NaN where unknown.
-    spent : (n,) float
-        Energy until each point. It falls where a descent returns more than the leg takes. [kWh]
+    is. The ones before are raised to it where necessary, because a car below it earlier is also below it later. The
+    energy until each point [kWh] falls where a descent returns more than the leg takes.
 
     Examples
     --------

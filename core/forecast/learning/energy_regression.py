@@ -71,14 +71,9 @@ class StretchRows(NamedTuple):
 
     Parameters
     ----------
-    lane : (n,) int
-    riding : (n,) bool
-        Whether it is a ride.
-    amounts : (n, amounts) float
-    weights : (n, temperatures) float
-        Weights of the knots of temperature. [1]
-    energy, sd : (n,) float
-        Measured energy and its standard uncertainty, NaN where unknown. [kWh]
+    riding : Whether it is a ride, (n,) bool.
+    amounts, weights : Amounts, and weights of the knots of temperature [1], (n, amounts) and (n, temperatures) float.
+    energy, sd : Measured energy and its standard uncertainty, NaN where unknown, (n,) float. [kWh]
     """
 
     lane: Ints

@@ -41,12 +41,8 @@ class PlanOutcomes:
 
     Attributes
     ----------
-    factor : (2,) float
-        Energy done over planned energy, of driving and of waiting. [1]
-    covariance : (2, 2) float
-        Covariance of both.
-    spread : float
-        Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    factor, covariance : Energy done over planned energy, of driving and of waiting, and the covariance of both. [1]
+    spread : Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
     """
 
     def __init__(self) -> None:
