@@ -68,8 +68,7 @@ FILTER_STATE: Final = np.dtype(
         ("driver_variance", "f8"),  # variance of the driver's part
         ("drivers", "f8"),  # number of drivers in the shift
         ("next_driver", "f8"),  # driver named since the last running totals, -1 for none
-        ("next_driver_mean", "f8"),
-        ("next_driver_variance", "f8"),
+        *(("next_driver_mean", "f8"), ("next_driver_variance", "f8")),
     ]
 )
 """State of the filter of one car."""

@@ -1,5 +1,6 @@
 """Compute the forecasts at rows of running totals: charge now, at the end of the shift, range and risk."""
 
+from collections.abc import Sequence
 from math import inf, isfinite, nan
 from typing import Final, NamedTuple
 
@@ -25,6 +26,12 @@ from socast.core.vehicles.fleet import Cars
 from socast.core.wire.live_fields import LiveField, list_interval_columns, list_live_fields
 from socast.core.wire.messages import Forecast
 
+
+def _list_fields(name: str) -> list[tuple[str, str]]:
+    """Return the fields of an interval: its mean, and its 5th and 95th percentile."""
+    return [(column, "f8") for column in list_interval_columns(name)]
+
+
 FORECAST_ROW: Final = np.dtype(
     [
         ("lane", "i8"),
@@ -33,9 +40,7 @@ FORECAST_ROW: Final = np.dtype(
         ("predicted", "f8"),  # energy predicted of the ride so far [kWh]
         ("soc", "f8"),  # present charge [1]
         ("soc_sd", "f8"),  # its standard deviation [1]
-        ("range_km", "f8"),  # distance that the car can drive now without a pause, down to the reserve [km]
-        ("range_km_p05", "f8"),
-        ("range_km_p95", "f8"),
+        *_list_fields("range_km"),  # distance that the car can drive now without a pause, down to the reserve [km]
         ("shift_end_s", "f8"),  # [s]
         ("basis", "i8"),  # `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`
         ("ride_km_ahead", "f8"),  # distance of rides ahead [km]
@@ -44,17 +49,13 @@ FORECAST_ROW: Final = np.dtype(
         ("driving_kwh", "f8"),  # energy as planned until the next planned charge, or else the end of the shift [kWh]
         ("waiting_kwh", "f8"),
         # at the end of the shift
-        ("soc_end_of_shift", "f8"),  # mean charge [1]
-        ("soc_end_of_shift_p05", "f8"),
-        ("soc_end_of_shift_p95", "f8"),
+        *_list_fields("soc_end_of_shift"),  # charge [1]
         ("reserve_risk", "f8"),  # probability of ending below the reserve [1]
         ("raw_end_soc", "f8"),  # mean charge before the conformal correction [1]
         ("raw_end_soc_sd", "f8"),
         ("energy_km_ahead", "f8"),  # distance that the energy ahead, after planned charges, would usually drive [km]
         # at the next planned charge
-        ("charge_soc", "f8"),  # mean charge [1]
-        ("charge_soc_p05", "f8"),
-        ("charge_soc_p95", "f8"),
+        *_list_fields("charge_soc"),  # charge [1]
         ("charge_risk", "f8"),  # probability that it is below the reserve [1]
         ("raw_charge_soc", "f8"),  # mean charge before the conformal correction [1]
         ("raw_charge_soc_sd", "f8"),
@@ -73,30 +74,6 @@ A field of `socast.core.wire.messages.Forecast` with a live display is published
 the column without `_pct`, as a percentage. An interval has two further columns for its percentiles."""
 Rows = NDArray[np.void]
 """Rows of the type `FORECAST_ROW`, (n,)."""
-_RECORDED: Final = {
-    "time": "time",
-    "end": "shift_end_s",
-    "basis": "basis",
-    "ahead_km": "energy_km_ahead",
-    "ambient_c": "ambient_c",
-    "mean": "raw_end_soc",
-    "sd": "raw_end_soc_sd",
-    "lower": "soc_end_of_shift_p05",
-    "upper": "soc_end_of_shift_p95",
-    "driving": "driving_kwh",
-    "waiting": "waiting_kwh",
-    "predicted": "awake_predicted",
-    "level": "level",
-}
-"""Field of a record of a forecast for the end of the shift -> column of `FORECAST_ROW`."""
-_RECORDED_OF_CHARGE: Final = _RECORDED | {
-    "ahead_km": "charge_energy_km",
-    "mean": "raw_charge_soc",
-    "sd": "raw_charge_soc_sd",
-    "lower": "charge_soc_p05",
-    "upper": "charge_soc_p95",
-}
-"""The same of a forecast for the next planned charge."""
 _COLUMNS: Final = FORECAST_ROW.names or ()
 _OF_END: Final = _COLUMNS[_COLUMNS.index("soc_end_of_shift") : _COLUMNS.index("charge_soc")]
 _OF_CHARGE: Final = _COLUMNS[_COLUMNS.index("charge_soc") : _COLUMNS.index("charge_time")]
@@ -134,11 +111,8 @@ PUBLISHED: Final = tuple(
 """Fields of a forecast from columns of `FORECAST_ROW`; those of the ride in progress come from its totals."""
 INTERVALS: Final = (*(each.columns for each in PUBLISHED if len(each.columns) > 1), list_interval_columns("charge_soc"))
 """Columns of mean and percentiles of each published interval."""
-NEWEST_COLUMNS: Final = [
-    *(column for each in PUBLISHED for column in each.columns),
-    *list_interval_columns("charge_soc"),
-    *("charge_time", "charge_risk"),
-]
+NEWEST_COLUMNS: Final = [*(column for each in PUBLISHED for column in each.columns), *INTERVALS[-1]]
+NEWEST_COLUMNS += ["charge_time", "charge_risk"]
 """Columns of `FORECAST_ROW` from which a forecast is published."""
 NEWEST_FORECAST: Final = np.dtype([(column, "f8") for column in NEWEST_COLUMNS])
 """Newest forecast of a car, as a state keeps it."""
@@ -192,10 +166,15 @@ def compute_forecast_rows(
 
 def create_records(row: NDArray[np.void]) -> tuple[ForecastRecord, ForecastRecord | None]:
     """Return the records of the forecasts of a FORECAST_ROW: for the end of the shift, and for a planned charge."""
-    end, charge = (
-        ForecastRecord(**{name: row[column].item() for name, column in columns.items()})
-        for columns in (_RECORDED, _RECORDED_OF_CHARGE)
-    )
+    end, charge = _create_record(row, _OF_END), _create_record(row, _OF_CHARGE)
     if end.basis == OVER_CHARGE:
         end = end._replace(driving=nan, waiting=nan)
     return end, charge._replace(end=inf, basis=TO_CHARGE) if isfinite(charge.mean) else None
+
+
+def _create_record(row: NDArray[np.void], columns: Sequence[str]) -> ForecastRecord:
+    """Return the record of the forecast in some columns, for the end of the shift."""
+    _, lower, upper, _, mean, sd, ahead_km = (row[name].item() for name in columns)
+    time, end, basis, ambient_c = (row[name].item() for name in ("time", "shift_end_s", "basis", "ambient_c"))
+    planned = (row[name].item() for name in ("driving_kwh", "waiting_kwh", "awake_predicted", "level"))
+    return ForecastRecord(time, end, basis, ahead_km, ambient_c, mean, sd, lower, upper, *planned)

@@ -78,14 +78,9 @@ def update_with_driver(state: Any, wandered: float) -> None:
         noise = 1.0 / added
         measured = noise * ((state.usual + state.next_driver_mean) / variance - state.usual / state.usual_variance)
         total = state.p_aa + state.p_cc - 2.0 * state.p_ac + noise + wandered
-        update_state(
-            state,
-            measured - state.log_consumption + state.log_capacity,
-            state.p_sa - state.p_sc,
-            state.p_aa - state.p_ac,
-            state.p_ac - state.p_cc,
-            total,
-        )
+        residual = measured - state.log_consumption + state.log_capacity
+        cov_s, cov_a, cov_c = state.p_sa - state.p_sc, state.p_aa - state.p_ac, state.p_ac - state.p_cc
+        update_state(state, residual, cov_s, cov_a, cov_c, total)
 
 
 @njit(cache=False)

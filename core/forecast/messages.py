@@ -21,23 +21,16 @@ from socast.core.totals.measured_energy import measure_energy
 from socast.core.wire.live_fields import list_interval_columns
 from socast.core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
 
-_COUNTED: Final = {
-    name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
-    for name, bits in FORECAST_CAUSES.items()
-}
+_COUNTED: Final = [
+    [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
+    for bits in FORECAST_CAUSES.values()
+]
+"""Columns of the quality counts that each quality count of a forecast adds up."""
 
 
 def none_if_unknown(value: float) -> float | None:
     """Return a number, None where it is not finite: unknown values are published as null."""
     return value if isfinite(value) else None
-
-
-def count_quality(totals: Totals) -> dict[str, list[int]]:
-    """Return the quality counts of a forecast, by name; each is a list over the rows of the totals."""
-    return {
-        name: sum(totals.quality[:, place] for place in places).astype(np.int64).tolist()  # type: ignore[union-attr]
-        for name, places in _COUNTED.items()
-    }
 
 
 def build_forecasts(
@@ -92,6 +85,7 @@ def fill_forecasts(
     `columns` holds those of `FORECAST_ROW` that are published.
     """
     names, riding = context.vehicle_ids, ride.is_riding
+    counts = (running.quality[:, places].sum(axis=1).astype(np.int64).tolist() for places in _COUNTED)
     values: dict[str, Iterable[Any]] = {
         "vehicle_id": [names[lane] for lane in running.lane.tolist()],
         "time_s": running.at_last("time").tolist(),
@@ -101,7 +95,7 @@ def fill_forecasts(
         "ride_duration_s": np.where(riding, running.amount("duration"), 0.0).tolist(),
         "ride_energy_predicted_kwh": ride.predicted.tolist(),
         "ride_energy_measured_kwh": ride.measured.tolist(),
-        "quality": map(QualityCounts, *count_quality(running).values()),
+        "quality": map(QualityCounts, *counts),
         "next_charge": _list_charges(columns),
     }
     for field in PUBLISHED:

@@ -66,18 +66,7 @@ class EnergyAhead(NamedTuple):
 
 
 class CarEstimate(NamedTuple):
-    """Estimate of the filter for n cars, (n,) float each.
-
-    Parameters
-    ----------
-    soc, variance : State of charge and its variance. [1]
-    log_factor, log_factor_variance : `a - c` of `socast.core.forecast.soc_filter`, and its variance. [1]
-    covariance : Covariance of `soc` and `log_factor`. [1]
-    usual : Expected `log_factor`, before any data of the shift. [1]
-    quantum : Quantum of the reported state of charge. [1]
-    curve : Curve of the display, see `socast.core.totals.display_yield`. [1]
-    capacity : Nominal usable capacity. [kWh]
-    """
+    """Hold what `SOC_ESTIMATE` says of n cars, and their nominal usable capacities [kWh], (n,) float each."""
 
     soc: Floats
     variance: Floats
@@ -147,18 +136,10 @@ class UsualConsumption(NamedTuple):
     Parameters
     ----------
     weights : Weights of the knots of temperature, (n, temperatures) float. [1]
-    standing_power : Power of a car that waits. [kW]
-    approach_energy : Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
-    warm_up_energy : Energy that is left of the warm-up of the shift. [kWh]
-    energy_per_km : Energy of rides and idle periods over the kilometres of rides. [kWh/km]
-    mean_power : The same energy over the hours of both. [kW]
-    driving_energy_per_km : Energy of a kilometre on a long way at the usual pace. [kWh/km]
-    ride_pace : Time per kilometre of rides. [min/km]
-    covariance : Covariance of the relative energies of driving and of waiting beside that of the usual mix, (n, 2, 2)
-        float. [1]
-    plan_factor : Energy that is done over what is planned, of driving and of waiting, (n, 2) float. [1]
-    plan_covariance : Covariance of both, (n, 2, 2) float.
-    plan_spread : Variance of the energy that is done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    standing_power, ..., ride_pace : Values of `LegEnergyTables` of the same names.
+    warm_up_energy : That which is left of the warm-up of the shift. [kWh]
+    covariance : The same as `LegEnergyTables.parts_covariance`, (n, 2, 2) float. [1]
+    plan_factor, plan_covariance, plan_spread : What is done of plans, see `PlanOutcomes`.
     """
 
     weights: Floats

@@ -137,16 +137,6 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
 
 
 @njit(cache=False)
-def add_temperature(state: Any, event: Any) -> None:
-    """Add to the prior of a shift what its temperature adds, once it is known: uncertain tables, and less capacity."""
-    state.level_sd = event.level_sd
-    state.usual += event.cold_loss
-    state.log_consumption += event.cold_loss
-    state.usual_variance += event.level_sd**2
-    state.p_aa += event.level_sd**2
-
-
-@njit(cache=False)
 def follow_level(state: Any, event: Any) -> None:
     """Express what the shift has used by the tables of an event, if a daily update has replaced those before."""
     if event.level != state.level and not isnan(event.level):
@@ -186,7 +176,11 @@ def update_with_totals(state: Any, event: Any) -> None:
     remember_totals(state, event)
     if duration > 0.0:
         if isnan(state.level_sd) and not isnan(event.level_sd):
-            add_temperature(state, event)
+            state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
+            state.usual += event.cold_loss
+            state.log_consumption += event.cold_loss
+            state.usual_variance += event.level_sd**2
+            state.p_aa += event.level_sd**2
         awake = event.time - state.begin
         predicted += event.warm_up * (
             exp(-max(awake - duration, 0.0) / WARM_UP_DECAY) - exp(-max(awake, 0.0) / WARM_UP_DECAY)

@@ -152,21 +152,25 @@ class ForecastLog:
         if not arrived >= self._times["before_charge"][lane]:
             return []
         records = self.get_records(lane)
-        of_charge = (records["basis"] == TO_CHARGE) & (records["time"] <= arrived)
-        self._records[lane] = bytearray(records[~of_charge].tobytes())
-        later = records[~of_charge & (records["basis"] == TO_CHARGE)]
-        self._times["before_charge"][lane] = later["time"].min(initial=np.inf)
-        return compute_shift_errors(records[of_charge], outcome._replace(charged=nan))
+        due = (records["basis"] == TO_CHARGE) & (records["time"] <= arrived)
+        return self._evaluate(lane, records, due, outcome._replace(charged=nan))
 
     def evaluate_until(self, lane: int, time: float, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log."""
         if not time >= self._times["ends"][lane]:
             return []
         records = self.get_records(lane)
-        left = records[records["end"] > time]
+        return self._evaluate(lane, records, records["end"] <= time, outcome)
+
+    def _evaluate(
+        self, lane: int, records: NDArray[np.void], due: NDArray[np.bool_], outcome: Outcome
+    ) -> list[ShiftErrors]:
+        """Return the errors of those records of a lane that are due, and keep the others."""
+        left = records[~due]
         self._records[lane] = bytearray(left.tobytes())
         self._times["ends"][lane] = left["end"].min(initial=np.inf)
-        return compute_shift_errors(records[records["end"] <= time], outcome)
+        self._times["before_charge"][lane] = left["time"][left["basis"] == TO_CHARGE].min(initial=np.inf)
+        return compute_shift_errors(records[due], outcome)
 
     def evaluate_shift(self, lane: int, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of all forecasts of a shift that is over."""
@@ -211,19 +215,9 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         judged = of_basis[known]
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
-        out.append(
-            ShiftErrors(
-                int(basis),
-                judged["time"],
-                judged["ahead_km"],
-                judged["ambient_c"],
-                (soc - judged["mean"]) / judged["sd"],
-                count_outcomes(judged["lower"], judged["upper"], soc),
-                of_basis["driving"],
-                of_basis["waiting"],
-                done,
-            )
-        )
+        scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
+        about = (judged[name] for name in ("time", "ahead_km", "ambient_c"))
+        out.append(ShiftErrors(int(basis), *about, scores, counts, of_basis["driving"], of_basis["waiting"], done))
     return out
 
 
