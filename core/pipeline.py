@@ -13,8 +13,7 @@ from socast.core.errors import SettingsError
 from socast.core.forecast.day_rollover import DayRollover
 from socast.core.forecast.due_forecasts import DueForecasts
 from socast.core.forecast.engine import ForecastEngine
-from socast.core.forecast.event_intake import EventIntake
-from socast.core.forecast.plan_checks import NewestPlans
+from socast.core.forecast.event_intake import EventIntake, NewestPlans
 from socast.core.forecast.silent_cars import RestOfBatch, SilentCars
 from socast.core.forecast.status import VehicleStatus, build_statuses
 from socast.core.models import EXTENDED_PHYSICAL, Model

@@ -8,8 +8,8 @@ from math import inf
 from typing import Any, Final, Protocol
 
 from socast.core.errors import AskError, SocastError
-from socast.core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
 from socast.core.wire.messages import Leg, Outlook, Plan, encode
+from socast.core.wire.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
 from socast.stream.structured_log import event_fields, flatten_counts
 
 SPEND_S: Final = 0.1

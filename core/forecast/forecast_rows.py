@@ -111,8 +111,8 @@ PUBLISHED: Final = tuple(
 """Fields of a forecast from columns of `FORECAST_ROW`; those of the ride in progress come from its totals."""
 INTERVALS: Final = (*(each.columns for each in PUBLISHED if len(each.columns) > 1), list_interval_columns("charge_soc"))
 """Columns of mean and percentiles of each published interval."""
-NEWEST_COLUMNS: Final = [*(column for each in PUBLISHED for column in each.columns), *INTERVALS[-1]]
-NEWEST_COLUMNS += ["charge_time", "charge_risk"]
+_COLUMNS_OF_CHARGE: Final = *list_interval_columns("charge_soc"), "charge_time", "charge_risk"
+NEWEST_COLUMNS: Final = [*(column for each in PUBLISHED for column in each.columns), *_COLUMNS_OF_CHARGE]
 """Columns of `FORECAST_ROW` from which a forecast is published."""
 NEWEST_FORECAST: Final = np.dtype([(column, "f8") for column in NEWEST_COLUMNS])
 """Newest forecast of a car, as a state keeps it."""

@@ -38,7 +38,6 @@ from socast.core.forecast.outlook import (
     fill_from_history,
     schedule_plan,
 )
-from socast.core.forecast.plan_checks import find_refusal
 from socast.core.forecast.plan_tracker import LONGEST_SHIFT
 from socast.core.forecast.planned_legs import PlannedLegs, compute_planned_legs
 from socast.core.forecast.soc_ahead import (
@@ -52,6 +51,7 @@ from socast.core.forecast.soc_ahead import (
 from socast.core.forecast.soc_filter import METER_GAIN_SD, write_estimate
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
+from socast.core.wire.plan_checks import find_refusal
 
 SEARCHED: Final = 1000
 """Largest number of vehicles among which a misspelled name is looked for."""

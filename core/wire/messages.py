@@ -123,7 +123,7 @@ class Ride(Wire):
 class Leg(Wire):
     """Leg of a plan: a ride, or a charge with `charge_to_soc_pct` in place of the distance.
 
-    `socast.core.forecast.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
+    `socast.core.wire.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
     """
 
     distance_km: Annotated[float | None, means("Distance of a ride. [km]")] = None

@@ -216,8 +216,9 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
         scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
-        about = (judged[name] for name in ("time", "ahead_km", "ambient_c"))
-        out.append(ShiftErrors(int(basis), *about, scores, counts, of_basis["driving"], of_basis["waiting"], done))
+        time, ahead_km, ambient_c = (judged[name] for name in ("time", "ahead_km", "ambient_c"))
+        planned = of_basis["driving"], of_basis["waiting"]
+        out.append(ShiftErrors(int(basis), time, ahead_km, ambient_c, scores, counts, *planned, done))
     return out
 
 

@@ -7,11 +7,10 @@ of the published one. A plan or ride that cannot be used gets a message with the
 import re
 from collections.abc import Mapping
 from math import inf, isfinite, isnan, nan
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
-from socast.core.batch import Ints, take_keys
 from socast.core.errors import AskError
 from socast.core.wire.messages import IDENTITY, Leg, Plan, Wire
 
@@ -112,36 +111,6 @@ def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal 
         if fault := find_leg_fault(leg):
             return Refusal("out_of_range", f"leg {number} of the plan: {fault}")
     return _find_time_refusal(plan.shift_end_s, now_s, ahead_s)
-
-
-class NewestPlans:
-    """Remember when dispatch made the newest usable plan of each lane; an older plan arrived out of order."""
-
-    def __init__(self) -> None:
-        self._made: dict[int, float] = {}
-
-    def refuse(self, lane: int, plan: Plan) -> str | None:
-        """Return the cause for which a plan cannot be used, None where it can."""
-        if is_outdated(plan, self._made.get(lane, plan.time_s)):
-            return "plan_in_the_past"
-        refused = find_refusal(plan, plan.time_s)
-        return None if refused is None else refused.cause
-
-    def accept(self, lane: int, plan: Plan) -> None:
-        """Remember a usable plan as the newest of its lane."""
-        self._made[lane] = plan.time_s
-
-    def keep(self, lanes: Ints) -> None:
-        """Keep the state of some lanes only, in their order."""
-        self._made = take_keys(self._made, lanes)
-
-    def dump(self) -> Any:
-        """Return the state as plain values."""
-        return list(self._made.items())
-
-    def load(self, state: Any) -> None:
-        """Replace the state by one that `dump` returned."""
-        self._made = {int(lane): time for lane, time in state}
 
 
 def find_leg_fault(leg: Leg) -> str | None:
