@@ -2,7 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, field, fields
-from typing import Final
+from typing import Any, Final
 
 from socast.stream.mcap_format import LARGEST_CHUNK
 from socast.stream.waiting_messages import MOST_HELD
@@ -62,7 +62,8 @@ class Losses:
     def add(self, other: "Losses") -> "Losses":
         """Return these losses and those of another part of the recording."""
         pairs = {each.name: (getattr(self, each.name), getattr(other, each.name)) for each in fields(self)}
-        return Losses(**{name: a or b if isinstance(a, bool) else a + b for name, (a, b) in pairs.items()})
+        sums: dict[str, Any] = {name: a or b if isinstance(a, bool) else a + b for name, (a, b) in pairs.items()}
+        return Losses(**sums)
 
     def lines(self) -> list[str]:
         """Return one sentence per kind of loss; an empty list for a complete recording."""

@@ -5,7 +5,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,6 +18,10 @@ from socast.stream.checkpoints import Checkpoints
 from socast.stream.loop import Tally
 from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
+
+if TYPE_CHECKING:
+    from socast.stream.zenoh_overlap import OverlapWatch
+    from socast.stream.zenoh_standby import Standby
 
 ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
@@ -209,26 +213,6 @@ METRICS: Final = tuple(
 """Every metric that a snapshot holds, but for the histogram of the lag."""
 
 
-class Candidate(Protocol):
-    """Define what a snapshot reads of a consumer on standby, such as `socast.stream.zenoh_standby.Standby`."""
-
-    @property
-    def failure(self) -> str:
-        """Return why the consumer has left the election for good; an empty text while it takes part."""
-
-    @property
-    def is_active(self) -> bool:
-        """Return whether the consumer publishes now."""
-
-
-class Overlapping(Protocol):
-    """Define what a snapshot reads of the watch on other consumers, `socast.stream.zenoh_overlap.OverlapWatch`."""
-
-    @property
-    def found(self) -> tuple[str, ...]:
-        """Return the shares of other consumers that publish for the same cars."""
-
-
 class _Stamped(msgspec.Struct):
     """Hold the time of a sample."""
 
@@ -266,9 +250,9 @@ class SnapshotTaker:
     ----------
     source : object
         Source of the messages. Those of its attributes that `OF_SOURCE` names are exported.
-    candidate : Candidate, optional
+    candidate : Standby, optional
         Tells whether this consumer publishes, where one of several does.
-    overlap : Overlapping, optional
+    overlap : OverlapWatch, optional
         Tells which other consumers publish for the same cars.
     shard : Shard, optional
         Share of the fleet that is served.
@@ -285,8 +269,8 @@ class SnapshotTaker:
         recorder: Recorder | None = None,
         checkpoints: Checkpoints | None = None,
         queries: QueryService | None = None,
-        candidate: Candidate | None = None,
-        overlap: Overlapping | None = None,
+        candidate: "Standby | None" = None,
+        overlap: "OverlapWatch | None" = None,
         *,
         shard: Shard | None = None,
         per_vehicle: bool = False,

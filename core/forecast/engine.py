@@ -187,8 +187,8 @@ class ForecastEngine:
         """Write totals as events."""
         duration, riding = totals.amount("duration"), totals.ride >= 0
         ambient = totals.amount("ambient")
-        kind = totals.at_last("kind").astype(np.int64)
-        mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
+        kind = totals.kinds
+        mean_ambient = totals.share("ambient", otherwise=np.nan)
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"], out["car_kind"] = totals.lane, totals.at_last("time"), kind

@@ -134,7 +134,7 @@ def compute_forecast_rows(
     rows = np.zeros(len(running.lane), FORECAST_ROW)
     if not len(rows):
         return rows
-    kinds, time, riding = running.at_last("kind").astype(np.int64), running.at_last("time"), running.ride >= 0
+    kinds, time, riding = running.kinds, running.at_last("time"), running.ride >= 0
     now = CarsNow.create(running.lane, kinds, time, estimates, ambient, statistics, cars)
     times = schedule_plan(
         progress, time, get_ride_km(running), riding, find_charging_since(estimates, progress["came"])

@@ -48,7 +48,7 @@ def find_implausible(running: Totals, rows: Rows, predicted: Floats, measured: F
 
     Units: predicted [kWh] and measured [kWh] of the ride in progress, NaN where unknown.
     """
-    kind = running.at_last("kind").astype(np.int64)
+    kind = running.kinds
     capacity = replace_nan(cars.capacity[kind], LARGEST_BATTERY)
     distance, duration = running.amount("distance"), running.amount("duration")
     most_kwh = compute_largest_energy(running, cars)

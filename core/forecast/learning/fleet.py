@@ -199,7 +199,7 @@ class FleetStatistics:
         Units: weights [1] of the knots of temperature.
         """
         self._update_kinds()
-        kinds, energy = totals.at_last("kind").astype(np.int64), np.empty(len(weights))
+        kinds, energy = totals.kinds, np.empty(len(weights))
         predict_energy(_compute_amounts(totals), kinds, weights, self._stacked["rates"], energy)
         out["predicted"], out["level"] = energy, self._stacked["level"][kinds, 0]
         out["warm_up"] = self._interpolate("warm_up_energy", kinds, weights)
@@ -256,7 +256,7 @@ class FleetStatistics:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
         measured = measure_energy(totals, self._cars)
         fit = fit & ~(np.abs(measured.energy) > compute_largest_energy(totals, self._cars))
-        kinds = totals.at_last("kind").astype(np.int64).tolist()
+        kinds = totals.kinds.tolist()
         known = np.array([self._cars.models[kind] is not None for kind in kinds])
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
         if len(which):
