@@ -85,14 +85,6 @@ class KindHistory:
         return int(self._of_lane[lane]) if lane < len(self._of_lane) else UNKNOWN
 
 
-class _Evaluation(NamedTuple):
-    """Hold a step of the evaluation: place in the batch, whether forecasts are due there, number of its data."""
-
-    at: int
-    of_forecast: bool
-    number: int
-
-
 class ForecastEngine:
     """Run the filters, plans and shifts of every lane, with the statistics of the fleet.
 
@@ -213,9 +205,9 @@ class ForecastEngine:
     def _evaluate(self, running: Totals, rows: Rows, shifts: NDArray[np.void], at: Ints, kinds: "KindHistory") -> None:
         """Record forecasts, and evaluate those whose end has come, in the order of their places.
 
-        `at` is the place of each event in the batch.
+        `at` is the place of each event in the batch. A step has a place, whether a forecast is due there, and a number.
         """
-        steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
+        steps = [(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
         time, mean, arrived = rows["time"], rows["raw_end_soc"], rows["arrived"]
         rows_of_lanes = RowsOfLanes(running.lane)
 
@@ -226,7 +218,7 @@ class ForecastEngine:
             due = self.log.is_due(lane, time[left], mean[left], arrived[left])
             if due.any():
                 row = int(left[due.argmax()])
-                heappush(steps, _Evaluation(int(running.at[row]), True, row))
+                heappush(steps, (int(running.at[row]), True, row))
 
         for lane in np.unique(running.lane[self.log.is_due(running.lane, time, mean, arrived)]).tolist():
             add_next(lane, 0)

@@ -37,6 +37,8 @@ CUT_SHORT_MARGIN: Final = 900.0
 
 _PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same place
 
+_Step = tuple[int, int, int, int]
+"""What may change a plan: place in the batch, kind, number among those of the kind, lane."""
 GetTables = Callable[[int, int], LegEnergyTables | None]
 """Returns the tables of the vehicle model that the car of a lane had at a place in the batch."""
 LIKE_LEG: Final = 0.3, 0.6
@@ -117,15 +119,6 @@ class ActivePlan(NamedTuple):
         return time > self.plan.shift_end_s + (0.0 if done else OVERTIME)
 
 
-class _Step(NamedTuple):
-    """Hold what may change a plan: place in the batch, kind, number among those of the kind, lane."""
-
-    at: int
-    kind: int
-    number: int
-    lane: int
-
-
 class PlanTracker:
     """Track the plan of each lane, and what it says about the rest of the shift.
 
@@ -182,7 +175,7 @@ class PlanTracker:
                 self._add_plan(lane, plan, float(time[i]) if kind == _ROW else plan.time_s, driven)
                 if lane in self.later and not waited:
                     for row in rows[before:].tolist():
-                        heappush(steps, _Step(int(running.at[row]), _ROW, row, lane))
+                        heappush(steps, (int(running.at[row]), _ROW, row, lane))
             self.progress[lane] = self._compute_progress(lane, get_tables(lane, at))
             out.put(rows[before:], self.progress[lane : lane + 1])
         now = running.lane[~over]
@@ -221,12 +214,12 @@ class PlanTracker:
         self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], charged: NDArray[np.bool_]
     ) -> list[_Step]:
         """Return in order what may change plans; rows only of lanes whose plan waits, or that have charged."""
-        steps = [_Step(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
+        steps = [(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
         ends = zip(rides.at.tolist(), rides.lane.tolist(), strict=True)
-        steps += [_Step(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
+        steps += [(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
         rows = np.flatnonzero(np.isin(running.lane, list(self.later)) | charged)
         waiting = zip(running.at[rows].tolist(), rows.tolist(), running.lane[rows].tolist(), strict=True)
-        return sorted([*steps, *(_Step(at, _ROW, i, lane) for at, i, lane in waiting)])
+        return sorted([*steps, *((at, _ROW, i, lane) for at, i, lane in waiting)])
 
     def _add_plan(self, lane: int, plan: Plan, time: float, driven_km: float) -> None:
         """Put a plan in force, or let it wait in place of another one of a later shift."""

@@ -457,22 +457,18 @@ def address(key: str) -> Address | None:
     >>> address("fleet/taxi-7/lunch") is None
     True
     """
-    chunks = key.split("/")
-    if len(chunks) >= 2 and chunks[-2] == "weather" and IDENTITY.fullmatch(chunks[-1]):
-        return Address("weather", chunks[-1])
-    is_of_fleet = len(chunks) >= 3 and chunks[-3] == "fleet" and (chunks[-1] in OF_VEHICLES or chunks[-1] == BATCH)
-    if is_of_fleet and IDENTITY.fullmatch(chunks[-2]):
-        return Address(chunks[-1], chunks[-2])
-    if (
-        len(chunks) >= 4
-        and chunks[-4] == "models"
-        and chunks[-1] == "errors"
-        and all(map(IDENTITY.fullmatch, chunks[-3:-1]))
-    ):
-        return Address("errors", "/".join(chunks[-3:-1]))
-    if len(chunks) >= 3 and chunks[-3] == "findings" and all(map(IDENTITY.fullmatch, chunks[-2:])):
-        return Address("finding", "/".join(chunks[-2:]))
-    return None
+    match key.split("/"):
+        case [*_, "weather", station]:
+            found = Address("weather", station)
+        case [*_, "fleet", vehicle, kind] if kind in OF_VEHICLES or kind == BATCH:
+            found = Address(kind, vehicle)
+        case [*_, "models", name, version, "errors"]:
+            found = Address("errors", f"{name}/{version}")
+        case [*_, "findings", who, effect]:
+            found = Address("finding", f"{who}/{effect}")
+        case _:
+            return None
+    return found if all(map(IDENTITY.fullmatch, found.identity.split("/"))) else None
 
 
 def encode(value: Wire) -> bytes:
