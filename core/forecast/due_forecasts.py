@@ -10,7 +10,7 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.forecast.day_rollover import DayRollover
 from socast.core.forecast.engine import DueInput, ForecastEngine
-from socast.core.forecast.forecast_rows import Rows
+from socast.core.forecast.forecast_rows import Rows, join_rows
 from socast.core.forecast.messages import build_forecasts
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
 from socast.core.forecast.plausibility import withhold_charge, withhold_implausible
@@ -191,10 +191,10 @@ class DueForecasts:
         """Return and drop the forecasts whose messages are not built yet."""
         if not self._totals:
             return []
-        due, rows = join_totals(self._totals, self._none), np.concatenate(self._rows)
+        due, rows = join_totals(self._totals, self._none), join_rows(self._rows)
         self._totals, self._rows = [], []
         if newest_only:
             last = due.newest()
-            due, rows = due.rows(last), rows[last]
+            due, rows = due.rows(last), rows.take(last)
         names = self._names.names(due.at_last("code").tolist())
         return build_forecasts(due, rows, names, self.engine.context, self._prefix, self.implausible)

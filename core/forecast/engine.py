@@ -28,11 +28,11 @@ from socast.core.forecast.filter_state import (
     create_filter_state,
 )
 from socast.core.forecast.forecast_rows import (
-    NEWEST_COLUMNS,
     NEWEST_FORECAST,
     Rows,
     compute_forecast_rows,
     create_records,
+    select_newest,
 )
 from socast.core.forecast.learning.car_driver import compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
@@ -132,7 +132,7 @@ class ForecastEngine:
         rows = compute_forecast_rows(
             sums.running, self._predict(sums.running), estimates, progress, ambient, self.statistics, self._cars
         )
-        self.newest.put(sums.running.lane, rows[NEWEST_COLUMNS].astype(NEWEST_FORECAST))
+        self.newest.put(sums.running.lane, select_newest(rows))
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 

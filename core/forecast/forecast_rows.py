@@ -131,7 +131,7 @@ def compute_forecast_rows(
 
     Units: predicted [kWh].
     """
-    rows = np.zeros(len(running.lane), FORECAST_ROW)
+    rows = np.empty(len(running.lane), FORECAST_ROW)
     if not len(rows):
         return rows
     kinds, time, riding = running.kinds, running.at_last("time"), running.ride >= 0
@@ -162,6 +162,21 @@ def compute_forecast_rows(
     rows["charge_time"] = soc.charge_time
     rows["charge_km"] = np.where(np.isfinite(soc.charge_time), ahead.km, np.nan)
     return rows
+
+
+def select_newest(rows: Rows) -> NDArray[np.void]:
+    """Return the columns that are published, (n,) NEWEST_FORECAST."""
+    newest = np.empty(len(rows), NEWEST_FORECAST)
+    for name in NEWEST_COLUMNS:
+        newest[name] = rows[name]
+    return newest
+
+
+def join_rows(parts: Sequence[Rows]) -> Rows:
+    """Return rows one after another; as plain numbers, which takes a tenth of the time."""
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([np.empty(0), *(part.view(np.float64) for part in parts)]).view(FORECAST_ROW)
 
 
 def create_records(row: NDArray[np.void]) -> tuple[ForecastRecord, ForecastRecord | None]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE
-from socast.core.forecast.forecast_rows import FORECAST_ROW, Rows
+from socast.core.forecast.forecast_rows import Rows, join_rows
 from socast.core.totals.context import RunContext
 from socast.core.totals.tables import text
 
@@ -70,7 +70,7 @@ def tabulate_outlooks(parts: Sequence[Rows], context: RunContext) -> pd.DataFram
         ahead or under way, and `charge_to_pct` up to which the last one is planned; `arrived_s` and `arrival_soc_pct`,
         begin of the last charge in the shift and reading before it.
     """
-    rows = np.concatenate([np.zeros(0, FORECAST_ROW), *parts])
+    rows = join_rows(parts)
     of_basis = {"planned": rows["basis"] != BY_HISTORY, "charge_planned": rows["basis"] == OVER_CHARGE}
     return pd.DataFrame(_list_columns(rows, rows["kind"], _OUTLOOKS, context) | of_basis)
 

@@ -52,11 +52,10 @@ SHIFT_PATTERN: Final = np.dtype([("hours", "f8"), ("relative_power", "f8")])
 """Usual duration [h] and intensity [1] of a car's shifts, NaN where too few are known."""
 _USUAL: Final = (
     *("standing_power", "approach_energy", "warm_up_energy", "energy_per_km", "mean_power", "driving_energy_per_km"),
-    "ride_pace",
 )
 """What `LegEnergyTables` hold at each temperature, and `UsualConsumption` at that of a row."""
 _STACKED: Final[dict[str, tuple[int, ...]]] = {
-    **dict.fromkeys((*_USUAL, "level", "level_sd"), ()),
+    **dict.fromkeys((*_USUAL, "ride_pace", "level", "level_sd"), ()),
     "rates": (STRETCH_AMOUNTS,),
     "parts_covariance": (2, 2),
 }
