@@ -13,9 +13,8 @@ from socast.core.errors import SettingsError
 from socast.core.forecast.day_rollover import DayRollover
 from socast.core.forecast.due_forecasts import DueForecasts
 from socast.core.forecast.engine import ForecastEngine
-from socast.core.forecast.event_intake import EventIntake
-from socast.core.forecast.newest_plans import NewestPlans
-from socast.core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
+from socast.core.forecast.event_intake import EventIntake, NewestPlans
+from socast.core.forecast.silent_cars import RestOfBatch, SilentCars
 from socast.core.forecast.status import VehicleStatus, build_statuses
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.monitoring.shadow import ShadowModels
@@ -150,7 +149,7 @@ class Pipeline:
         kept = self.silent_cars.begin_day(rest.midnight, since, self.totals.closed.get_lanes())
         if kept is not None and not self.due.keep_outlooks and self.totals.deferred is None:
             self.due.build_all()
-            forget_lanes(kept, rest, self.lanes, self.day_rollover, self._get_parts_of_lanes())
+            rest.forget_lanes(kept, self.lanes, self.day_rollover, self._get_parts_of_lanes())
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -11,9 +11,10 @@ from socast.core.errors import SettingsError, SocastError
 from socast.core.forecast.forecast_table import KEY_END
 from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.formatting import format_time
+from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
 from socast.stream.idle_keys import IdleKeys
-from socast.stream.loop import Forecaster, Tally, feed
+from socast.stream.loop import Tally, feed
 from socast.stream.recorder import Place, Recorder
 from socast.stream.state_file import StateFile
 from socast.stream.structured_log import event_fields
@@ -26,16 +27,6 @@ FORECASTS: Final = "forecasts"
 T = TypeVar("T")
 
 _log = logging.getLogger("socast.state")
-
-
-class Restorable(Forecaster, Protocol):
-    """Define the methods of `socast.core.pipeline.Pipeline` that checkpoints call."""
-
-    def snapshot(self, note: Any = None) -> bytes:
-        """Return the state, with a note."""
-
-    def restore(self, snapshot: bytes) -> Any:
-        """Replace the state, and return the note."""
 
 
 class Checkpoints:
@@ -64,7 +55,7 @@ class Checkpoints:
 
     def __init__(
         self,
-        pipeline: Restorable,
+        pipeline: Pipeline,
         file: StateFile,
         recorder: Recorder | None = None,
         clock: Callable[[], float] = time.monotonic,

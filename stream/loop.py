@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from math import inf
 from threading import Event, Lock
 from types import FrameType
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
+from socast.core.pipeline import Pipeline
 from socast.core.totals.logger_faults import explain_fault
 from socast.core.wire.messages import Message
 from socast.stream.recorder import Recorder
@@ -24,25 +25,6 @@ PUBLISH_S: Final = 0.5
 """Time between two rounds of published forecasts in live operation. [s]"""
 
 _log = logging.getLogger("socast.run")
-
-
-class Forecaster(Protocol):
-    """Define the methods of `socast.core.pipeline.Pipeline` that the loop calls."""
-
-    def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
-        """Process the messages that are new, after `record` has received them."""
-
-    def forecasts(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the forecasts that became due since the last call."""
-
-    def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the errors of several models after each ride that ended since the last call."""
-
-    def finish(self) -> list[Message]:
-        """Close open rides and return the last forecasts."""
-
-    def quality(self) -> dict[str, Any]:
-        """Return the counters of data quality."""
 
 
 @dataclass
@@ -88,7 +70,7 @@ def combine_watches(*watches: Watch) -> Watch:
 
 def feed(
     source: Iterable[Sequence[Message]],
-    pipeline: Forecaster,
+    pipeline: Pipeline,
     record: Callable[[Sequence[Message]], None] | None = None,
     *,
     close: bool = True,
@@ -150,7 +132,7 @@ def collect_garbage_rarely() -> Iterator[None]:
 @collect_garbage_rarely()
 def run(
     source: Source,
-    pipeline: Forecaster,
+    pipeline: Pipeline,
     sinks: Sequence[Sink] = (),
     *,
     recorder: Recorder | None = None,
@@ -262,7 +244,7 @@ def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Si
 class _CounterLog:
     """Log all counters, and the rate since the last line."""
 
-    def __init__(self, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
+    def __init__(self, tally: Tally, source: Source, pipeline: Pipeline, recorder: Recorder | None) -> None:
         self._tally, self._source, self._pipeline, self._recorder = tally, source, pipeline, recorder
         self._received, self._seconds = tally.received, tally.seconds
         self._told = {(name, car) for name, cars in self._get_faults(pipeline.quality()) for car in cars}

@@ -1,8 +1,8 @@
 """What a reader could not read from an MCAP file, and the limits beyond which it leaves data out."""
 
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
 
 from socast.stream.mcap_format import LARGEST_CHUNK
 from socast.stream.waiting_messages import MOST_HELD
@@ -61,52 +61,26 @@ class Losses:
 
     def add(self, other: "Losses") -> "Losses":
         """Return these losses and those of another part of the recording."""
-        return Losses(
-            self.unfinished or other.unfinished,
-            self.truncated_bytes + other.truncated_bytes,
-            self.damaged_chunks + other.damaged_chunks,
-            self.damaged_bytes + other.damaged_bytes,
-            self.missing_messages + other.missing_messages,
-            self.undescribed + other.undescribed,
-            self.foreign + other.foreign,
-            self.oversized + other.oversized,
-            self.oversized_bytes + other.oversized_bytes,
-            self.disordered + other.disordered,
-            self.is_contradicted or other.is_contradicted,
-            self.stray_bytes + other.stray_bytes,
-        )
+        pairs = {each.name: (getattr(self, each.name), getattr(other, each.name)) for each in fields(self)}
+        sums: dict[str, Any] = {name: a or b if isinstance(a, bool) else a + b for name, (a, b) in pairs.items()}
+        return Losses(**sums)
 
     def lines(self) -> list[str]:
         """Return one sentence per kind of loss; an empty list for a complete recording."""
-        sentences = []
-        if self.unfinished:
-            sentences.append(
-                "it has no end: it is still being written, or its writer was killed; "
-                f"{self.truncated_bytes:,} bytes after its last whole chunk are not read"
-            )
-        if self.damaged_chunks:
-            sentences.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
-        if self.missing_messages:
-            sentences.append(f"{self.missing_messages:,} messages that its summary counts are lost")
-        if self.undescribed:
-            sentences.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
-        if self.foreign:
-            sentences.append(
-                f"{self.foreign.total():,} messages on {len(self.foreign):,} topics outside the contract are left out"
-            )
-        if self.oversized:
-            sentences.append(
-                f"{self.oversized:,} chunks, {self.oversized_bytes:,} bytes, are left out: a chunk may have "
-                f"{LARGEST_CHUNK >> 20} MiB, and all may expand to {EXPANSION} times the file and "
-                f"{ALLOWANCE >> 20} MiB; write smaller chunks"
-            )
-        if self.disordered:
-            sentences.append(
-                f"{self.disordered:,} messages come out of order: chunks give a wrong time span, or more than "
-                f"{MOST_HELD >> 20} MiB would have to wait; sort the recording by log time"
-            )
-        if self.is_contradicted:
-            sentences.append("its summary contradicts the file: the chunks were found by a scan")
-        if self.stray_bytes:
-            sentences.append(f"{self.stray_bytes:,} bytes after the end of a recording are none, and are not read")
-        return sentences
+        foreign = self.foreign.total()
+        sentences: dict[str, object] = {
+            "it has no end: it is still being written, or its writer was killed; "
+            f"{self.truncated_bytes:,} bytes after its last whole chunk are not read": self.unfinished,
+            f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost": self.damaged_chunks,
+            f"{self.missing_messages:,} messages that its summary counts are lost": self.missing_messages,
+            f"{self.undescribed:,} messages of channels that are nowhere described are left out": self.undescribed,
+            f"{foreign:,} messages on {len(self.foreign):,} topics outside the contract are left out": foreign,
+            f"{self.oversized:,} chunks, {self.oversized_bytes:,} bytes, are left out: a chunk may have "
+            f"{LARGEST_CHUNK >> 20} MiB, and all may expand to {EXPANSION} times the file and "
+            f"{ALLOWANCE >> 20} MiB; write smaller chunks": self.oversized,
+            f"{self.disordered:,} messages come out of order: chunks give a wrong time span, or more than "
+            f"{MOST_HELD >> 20} MiB would have to wait; sort the recording by log time": self.disordered,
+            "its summary contradicts the file: the chunks were found by a scan": self.is_contradicted,
+            f"{self.stray_bytes:,} bytes after the end of a recording are none, and are not read": self.stray_bytes,
+        }
+        return [sentence for sentence, applies in sentences.items() if applies]

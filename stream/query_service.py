@@ -3,14 +3,19 @@
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import inf
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from socast.core.errors import AskError, SocastError
-from socast.core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
-from socast.core.wire.messages import Leg, Outlook, Plan, encode
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import encode
+from socast.core.wire.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
 from socast.stream.structured_log import event_fields, flatten_counts
+
+if TYPE_CHECKING:
+    from socast.stream.zenoh_queryable import ZenohQuery, ZenohQueryable
+    from socast.stream.zenoh_standby import StandbyQueryable
 
 SPEND_S: Final = 0.1
 """Longest time spent on queries before the loop continues with telemetry. [s]"""
@@ -18,42 +23,6 @@ LOG_S: Final = 1.0
 """Shortest time between two log lines on refusals of the same cause. [s]"""
 
 _log = logging.getLogger("socast.queries")
-
-
-class PendingQuery(Protocol):
-    """Represent a query that waits for its answer, such as `socast.stream.zenoh_queryable.ZenohQuery`."""
-
-    @property
-    def vehicle(self) -> str:
-        """Return the identifier of the car."""
-
-    @property
-    def parameters(self) -> str:
-        """Return the parameters after the question mark, as text."""
-
-    @property
-    def payload(self) -> bytes | None:
-        """Return the plan that comes with the query, or None."""
-
-    def reply(self, payload: bytes) -> None:
-        """Send the answer."""
-
-    def refuse(self, words: str) -> None:
-        """Send the reason why the query is refused."""
-
-
-class QuerySource(Protocol):
-    """Provide queries, such as `socast.stream.zenoh_queryable.ZenohQueryable` does."""
-
-    def pending(self) -> Sequence[PendingQuery]:
-        """Return the waiting queries, the oldest first."""
-
-
-class OutlookProvider(Protocol):
-    """Define the method of `socast.core.pipeline.Pipeline` that the service calls."""
-
-    def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
-        """Return the forecast for the rest of a shift."""
 
 
 class QueryService:
@@ -75,12 +44,15 @@ class QueryService:
     """
 
     def __init__(
-        self, questions: QuerySource, answerer: OutlookProvider, clock: Callable[[], float] = time.monotonic
+        self,
+        questions: "ZenohQueryable | StandbyQueryable",
+        answerer: Pipeline,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.answered = 0
         self.refused: Counter[str] = Counter()
         self._questions, self._answerer, self._clock = questions, answerer, clock
-        self._waiting: deque[PendingQuery] = deque()
+        self._waiting: deque[ZenohQuery] = deque()
         self._logged: dict[str, float] = {}
 
     def __call__(self, _: object) -> None:
@@ -102,7 +74,7 @@ class QueryService:
         if counts := flatten_counts(self.counts()):
             _log.info("queries", extra=event_fields(**counts))
 
-    def _answer(self, question: PendingQuery) -> None:
+    def _answer(self, question: "ZenohQuery") -> None:
         """Answer or refuse one query."""
         try:
             vehicle = parse_vehicle(question.vehicle)
@@ -118,7 +90,7 @@ class QueryService:
             _log.exception("question failed", extra=event_fields(vehicle=question.vehicle[:64]))
             self._refuse(question, "this query cannot be answered; see the log of the consumer", "failed")
 
-    def _refuse(self, question: PendingQuery, words: str, cause: str) -> None:
+    def _refuse(self, question: "ZenohQuery", words: str, cause: str) -> None:
         """Send the reason of a refusal, count the refusal and log it."""
         self.refused[cause] += 1
         now = self._clock()

@@ -3,8 +3,9 @@
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,6 +18,10 @@ from socast.stream.checkpoints import Checkpoints
 from socast.stream.loop import Tally
 from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
+
+if TYPE_CHECKING:
+    from socast.stream.zenoh_overlap import OverlapWatch
+    from socast.stream.zenoh_standby import Standby
 
 ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
@@ -47,138 +52,165 @@ class LagCounts:
     total: float = 0.0
 
 
-@dataclass(frozen=True)
-class VehicleSnapshot:
-    """Hold what is exported of each of n vehicles, if that is asked for.
+class MetricRow(NamedTuple):
+    """Declare under which name a field is exported, and what it means.
 
     Parameters
     ----------
-    newest_s : tuple of n float
-        Time of the newest sample. [Unix s]
+    name : Name without the ending `_total` of counters.
+    labels : Names of what the keys of a mapping say.
+    field : Field of `ServiceSnapshot`, or of `VehicleSnapshot`.
     """
 
+    name: str
+    kind: Literal["counter", "gauge"]
+    meaning: str
+    labels: tuple[str, ...]
+    field: str = ""
+
+    @property
+    def exported(self) -> str:
+        """Return the name under which Prometheus stores the metric."""
+        return f"{self.name}_total" if self.kind == "counter" else self.name
+
+
+def _declare(
+    kind: Literal["counter", "gauge"], name: str, meaning: str, *labels: str, default: float | tuple[()] | None = 0
+) -> Any:
+    """Return a field that is exported; with labels it is a mapping, empty by default."""
+    metadata = {"metric": MetricRow(name, kind, meaning, labels)}
+    if labels and default is not None:
+        return field(default_factory=dict, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+_counter, _gauge = partial(_declare, "counter"), partial(_declare, "gauge")
+
+
+@dataclass(frozen=True)
+class VehicleSnapshot:
+    """Hold what is exported of each of n vehicles, if that is asked for."""
+
     names: tuple[str, ...]
-    newest_s: tuple[float, ...]
-    lost: tuple[int, ...] | None = None
+    newest_s: tuple[float, ...] = _gauge(
+        "socast_vehicle_sample_age_seconds",
+        "Age of the newest sample of a vehicle; only with --metrics-per-car.",
+        "vehicle",
+        default=None,
+    )
+    lost: tuple[int, ...] | None = _counter(
+        "socast_vehicle_lost",
+        "Samples of a vehicle that never came; only with --metrics-per-car.",
+        "vehicle",
+        default=None,
+    )
 
 
 @dataclass(frozen=True)
 class ServiceSnapshot:
-    """Hold the counters and gauges of the service at one moment, as plain values.
+    """Hold the counters and gauges of the service at one moment, as plain values: each field declares its metric.
 
     None means that the service does not have a value, and its metric is not exported. Counters that the state file
-    keeps continue after a restart; the others begin at 0.
+    keeps continue after a restart; the others begin at 0. Moments, such as `saved_s`, are exported as ages. [Unix s]
 
     Parameters
     ----------
-    messages, forecasts : int
-        Numbers of messages received and of forecasts sent, by this process.
-    received, rejected, flagged : mapping of str to int
-        Decoded messages by kind, undecodable ones by cause, and samples by quality cause.
-    duplicates, lost, recovered, missed : int, optional
-        Samples that came again, that never came, that came late after a loss, and that Zenoh counts as missed.
-    recorded, unrecorded : int, optional
-        Messages that the recorder wrote, and that the disk refused.
-    dropped : mapping of str to int, optional
-        Samples that a limit dropped, by the limit.
-    is_catching_up : bool, optional
-        Whether live samples wait for the answers of caches.
-    queue_messages, queue_bytes : float, optional
-        Messages that wait for the loop, and their size. [B]
-    lag : LagCounts
-        Times of receipt less times of samples.
-    newest_sample_s : float, optional
-        Time of the newest sample of all vehicles. [Unix s]
-    vehicles, active_vehicles : int
-        Vehicles known, and vehicles whose newest sample is recent.
-    unfit_rides, unpredicted_rides : mapping of str to int
-        Rides that are unfit for training, and rides without a prediction, by reason.
-    faulty_loggers : mapping of str to int
-        Vehicles of whose logger a ride has shown a fault, by its name.
-    refused_forecasts : mapping of str to int, optional
-        Forecasts that were not published, by cause.
-    interval_outcomes : mapping of (str, str) to int
-        Outcomes of forecast intervals by basis of the forecast and by place: `below`, `inside` or `above`.
-    model_interval_outcomes : mapping of (str, str) to int
-        Rides by model and by the place of their energy beside the model's own interval, for models that have one.
-    model_rides : mapping of (str, str) to int
-        Rides by model and by whether the model predicted them: `predicted` or `unpredicted`.
-    model_mae_kwh, model_bias_kwh, model_mae_ratio : mapping of str to float
-        Errors of each model that has predicted rides. [kWh], [kWh], [1]
-    saved_s, recorded_s : float, optional
-        Time of the last state and of the last sync of the recording. [Unix s]
-    publishes : bool, optional
-        Whether this consumer publishes, where one of several does; None where it always does.
-    overlapping : tuple of str
-        Shares of other consumers that publish for the same cars.
-    shard : str
-        Share of the fleet that is served, such as `2/4`; empty without shards.
-    shards : int, optional
-        Number of shards that divide the fleet.
-    obstacle : str
-        Why the service is not ready although its loop moves; empty where it is.
+    lag : Times of receipt less times of samples.
+    shard : Share of the fleet that is served, such as `2/4`; empty without shards.
+    obstacle : Why the service is not ready although its loop moves; empty where it is.
     """
 
-    messages: int = 0
-    forecasts: int = 0
-    received: Mapping[str, int] = field(default_factory=dict)
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    flagged: Mapping[str, int] = field(default_factory=dict)
-    duplicates: int | None = None
-    lost: int | None = None
-    recovered: int | None = None
-    missed: int | None = None
-    recorded: int | None = None
-    unrecorded: int | None = None
-    dropped: Mapping[str, int] | None = None
-    is_catching_up: bool | None = None
-    queue_messages: float | None = None
-    queue_bytes: float | None = None
+    messages: int = _counter("socast_messages", "Messages received by this process.")
+    received: Mapping[str, int] = _counter("socast_decoded", "Decoded messages by kind.", "kind")
+    rejected: Mapping[str, int] = _counter("socast_rejected", "Rejected messages by cause.", "cause")
+    flagged: Mapping[str, int] = _counter(
+        "socast_samples_flagged", "Samples that were repaired or rejected, by quality cause.", "cause"
+    )
+    duplicates: int | None = _counter("socast_duplicates", "Messages that were delivered again.", default=None)
+    lost: int | None = _counter("socast_lost", "Samples that were sent and never came.", default=None)
+    recovered: int | None = _counter("socast_recovered", "Samples that came after they were missed.", default=None)
+    missed: int | None = _counter("socast_missed", "Samples that Zenoh could not recover.", default=None)
+    dropped: Mapping[str, int] | None = _counter(
+        "socast_dropped", "Messages dropped by a limit.", "limit", default=None
+    )
+    recorded: int | None = _counter("socast_recorded", "Messages that were recorded.", default=None)
+    unrecorded: int | None = _counter("socast_unrecorded", "Messages that the disk refused.", default=None)
+    is_catching_up: bool | None = _gauge(
+        "socast_catching_up", "1 while live samples wait for what the caches of publishers hold.", default=None
+    )
+    queue_messages: float | None = _gauge("socast_queue_messages", "Messages that wait for the loop.", default=None)
+    queue_bytes: float | None = _gauge("socast_queue_bytes", "Size of the messages that wait.", default=None)
+    newest_sample_s: float | None = _gauge(
+        "socast_newest_sample_age_seconds", "Age of the newest sample of all vehicles.", default=None
+    )
+    vehicles: int = _gauge("socast_vehicles", "Vehicles in the state.")
+    active_vehicles: int = _gauge("socast_active_vehicles", "Vehicles with a sample in the last 5 minutes.")
+    forecasts: int = _counter("socast_forecasts", "Forecasts made by this process, on standby too.")
+    refused_forecasts: Mapping[str, int] | None = _counter(
+        "socast_forecasts_refused",
+        "Forecasts that were not published because they are not plausible, by cause.",
+        "cause",
+        default=None,
+    )
+    rides: int = _counter("socast_rides", "Rides that have ended.")
+    unfit_rides: Mapping[str, int] = _counter(
+        "socast_rides_unfit", "Ended rides that are unfit for training, by reason.", "reason"
+    )
+    faulty_loggers: Mapping[str, int] = _gauge(
+        "socast_faulty_loggers", "Vehicles of whose logger a ride has shown a fault, by fault.", "fault"
+    )
+    unpredicted_rides: Mapping[str, int] = _counter(
+        "socast_rides_unpredicted", "Ended rides whose energy cannot be predicted, by reason.", "reason"
+    )
+    interval_outcomes: Mapping[tuple[str, str], int] = _counter(
+        "socast_interval_outcomes",
+        "Outcomes of forecasts of the charge at the shift's end and at the next planned charge: below, inside or above "
+        "the 90 % interval.",
+        *("basis", "place"),
+    )
+    model_interval_outcomes: Mapping[tuple[str, str], int] = _counter(
+        "socast_model_interval_outcomes",
+        "Ended rides with measured energy: below, inside or above the 90 % interval of a model that has one.",
+        *("model", "place"),
+    )
+    model_rides: Mapping[tuple[str, str], int] = _counter(
+        "socast_model_rides",
+        "Ended rides with measured energy, by model and by whether it predicted them.",
+        *("model", "result"),
+    )
+    model_mae_kwh: Mapping[str, float] = _gauge(
+        "socast_model_mae_kwh", "Mean absolute error of the energy of rides.", "model"
+    )
+    model_mae_ratio: Mapping[str, float] = _gauge(
+        "socast_model_mae_ratio", "Sum of absolute errors over sum of measured energies.", "model"
+    )
+    model_bias_kwh: Mapping[str, float] = _gauge(
+        "socast_model_bias_kwh", "Mean of predicted less measured energy of rides.", "model"
+    )
+    answered: int = _counter("socast_queries_answered", "Answered queries.")
+    refused_queries: Mapping[str, int] = _counter("socast_queries_refused", "Refused queries by cause.", "cause")
+    saved_s: float | None = _gauge("socast_state_age_seconds", "Age of the saved state.", default=None)
+    recorded_s: float | None = _gauge(
+        "socast_recording_age_seconds", "Time since the recording was synced to disk.", default=None
+    )
+    publishes: bool | None = _gauge("socast_publishes", "1 where this consumer publishes, 0 on standby.", default=None)
+    overlapping: tuple[str, ...] = _gauge(
+        "socast_overlapping_consumers", "Other consumers that publish for the same cars.", default=()
+    )
+    shards: int | None = _gauge("socast_shards", "Shards that divide the fleet; only with --shard.", default=None)
     lag: LagCounts = LagCounts()
-    newest_sample_s: float | None = None
-    vehicles: int = 0
-    active_vehicles: int = 0
-    rides: int = 0
-    unfit_rides: Mapping[str, int] = field(default_factory=dict)
-    faulty_loggers: Mapping[str, int] = field(default_factory=dict)
-    unpredicted_rides: Mapping[str, int] = field(default_factory=dict)
-    refused_forecasts: Mapping[str, int] | None = None
-    answered: int = 0
-    refused_queries: Mapping[str, int] = field(default_factory=dict)
-    interval_outcomes: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    model_interval_outcomes: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    model_rides: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    model_mae_kwh: Mapping[str, float] = field(default_factory=dict)
-    model_bias_kwh: Mapping[str, float] = field(default_factory=dict)
-    model_mae_ratio: Mapping[str, float] = field(default_factory=dict)
-    saved_s: float | None = None
-    recorded_s: float | None = None
-    publishes: bool | None = None
-    overlapping: tuple[str, ...] = ()
     shard: str = ""
-    shards: int | None = None
     obstacle: str = ""
     of_vehicles: VehicleSnapshot | None = None
 
 
-class Candidate(Protocol):
-    """Define what a snapshot reads of a consumer on standby, such as `socast.stream.zenoh_standby.Standby`."""
-
-    @property
-    def failure(self) -> str:
-        """Return why the consumer has left the election for good; an empty text while it takes part."""
-
-    @property
-    def is_active(self) -> bool:
-        """Return whether the consumer publishes now."""
-
-
-class Overlapping(Protocol):
-    """Define what a snapshot reads of the watch on other consumers, `socast.stream.zenoh_overlap.OverlapWatch`."""
-
-    @property
-    def found(self) -> tuple[str, ...]:
-        """Return the shares of other consumers that publish for the same cars."""
+METRICS: Final = tuple(
+    each.metadata["metric"]._replace(field=each.name)
+    for record in (ServiceSnapshot, VehicleSnapshot)
+    for each in fields(record)
+    if "metric" in each.metadata
+)
+"""Every metric that a snapshot holds, but for the histogram of the lag."""
 
 
 class _Stamped(msgspec.Struct):
@@ -218,9 +250,9 @@ class SnapshotTaker:
     ----------
     source : object
         Source of the messages. Those of its attributes that `OF_SOURCE` names are exported.
-    candidate : Candidate, optional
+    candidate : Standby, optional
         Tells whether this consumer publishes, where one of several does.
-    overlap : Overlapping, optional
+    overlap : OverlapWatch, optional
         Tells which other consumers publish for the same cars.
     shard : Shard, optional
         Share of the fleet that is served.
@@ -237,8 +269,8 @@ class SnapshotTaker:
         recorder: Recorder | None = None,
         checkpoints: Checkpoints | None = None,
         queries: QueryService | None = None,
-        candidate: Candidate | None = None,
-        overlap: Overlapping | None = None,
+        candidate: "Standby | None" = None,
+        overlap: "OverlapWatch | None" = None,
         *,
         shard: Shard | None = None,
         per_vehicle: bool = False,

@@ -27,14 +27,9 @@ from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.stats.conformal import compute_counted_quantiles
 from socast.core.totals.day_sums import DaySums
 
-BY_PLAN: Final = 0
-"""Basis of a forecast: the plan."""
-BY_HISTORY: Final = 1
-"""Basis of a forecast: the earlier shifts of the car."""
-TO_CHARGE: Final = 2
-"""Basis of a forecast of the charge at the beginning of the next planned charge: the plan."""
-OVER_CHARGE: Final = 3
-"""Basis of a forecast for the end of the shift with planned charges before it: the plan."""
+BY_PLAN, BY_HISTORY, TO_CHARGE, OVER_CHARGE = range(4)
+"""Bases of a forecast: the plan; the earlier shifts of the car; the plan, for the charge at the beginning of the next
+planned charge; the plan, for the end of the shift with planned charges before it."""
 BASES: Final = 4
 """Number of bases of a forecast."""
 DISTANCE_CLASSES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
@@ -66,6 +61,12 @@ DAY_CORRELATION: Final = 0.3
 DAY_MEMORY: Final = 0.98
 """Weight of a day's shifts one day later."""
 
+_EDGES: Final = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
+_PRIOR: Final = np.array([np.diff(stdtr(PRIOR_FREEDOM, _EDGES / scale)) for scale in PRIOR_SCALES])
+"""Share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
+_CLASSES: Final = np.arange(len(DISTANCE_CLASSES))
+_SHARES: Final = SHARE_OF_NEXT ** np.abs(_CLASSES - _CLASSES[:, np.newaxis])
+"""Weight of each class of distance for each, (distances, distances)."""
 _ARRAYS: Final = "_counts", "_widening", "table"
 BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 """A value for each of the two bounds of an interval."""
@@ -83,18 +84,13 @@ class ErrorBounds(NamedTuple):
 
 
 class ConformalIntervals:
-    """Learn standardised errors by class, and provide their quantiles.
-
-    A class is (basis, distance), where the basis is `BY_PLAN`, `BY_HISTORY`, `TO_CHARGE` or `OVER_CHARGE`.
+    """Learn standardised errors by class of basis and distance, and provide their quantiles.
 
     Attributes
     ----------
-    table : (bases, distances, levels) float
-        Quantiles of the standardised error. [1]
-    bounds : (bases, distances) BOUND_PAIR
-        Bounds that contain the standardised error with 90 %. [1]
-    today : DaySums
-        Since the last daily update: number of shifts, scores, and misses beyond the intended share, below and above.
+    table : Quantiles of the standardised error, (bases, distances, levels) float. [1]
+    bounds : Bounds that contain the standardised error with 90 %, (bases, distances) BOUND_PAIR. [1]
+    today : Since the last daily update: shifts, scores, and misses beyond the intended share, below and above.
     """
 
     def __init__(self) -> None:
@@ -142,7 +138,8 @@ class ConformalIntervals:
         """Replace the state by one that `dump` returned."""
         today, bounds, arrays = state
         self.today.load(today)
-        check_scores(self.today)
+        if self.today.get("scores").min() < 0.0:
+            raise ValueError("a negative number of shifts")
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
@@ -150,7 +147,7 @@ class ConformalIntervals:
 
 def _borrow_counts(basis: int, counts: Floats) -> Floats:
     """Return the counts of the classes of a basis with what each borrows from the others and from the prior."""
-    around = _weigh_neighbours(len(counts)) @ counts + PRIOR_SHIFTS * _make_prior()[basis]
+    around = _SHARES @ counts + PRIOR_SHIFTS * _PRIOR[basis]
     return np.asarray(counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True))
 
 
@@ -171,26 +168,6 @@ def _compute_first_quantiles(basis: int) -> tuple[Floats, Any]:
     """Return the quantiles and the bounds of the classes of a basis before the first shift, from the prior alone."""
     classes = len(DISTANCE_CLASSES)
     return _compute_class_quantiles(_borrow_counts(basis, np.zeros((classes, len(SCORES)))), np.zeros((classes, 2)))
-
-
-def check_scores(day: DaySums) -> None:
-    """Raise ValueError where a day counts fewer than no scores."""
-    if day.get("scores").min() < 0.0:
-        raise ValueError("a negative number of shifts")
-
-
-@cache
-def _make_prior() -> Floats:
-    """Return the share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
-    edges = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
-    return np.array([np.diff(stdtr(PRIOR_FREEDOM, edges / scale)) for scale in PRIOR_SCALES])
-
-
-@cache
-def _weigh_neighbours(size: int) -> Floats:
-    """Return the weight of each of `size` classes for each of them, (size, size)."""
-    place = np.arange(size)
-    return np.asarray(SHARE_OF_NEXT ** np.abs(place - place[:, np.newaxis]), np.float64)
 
 
 def weigh_day(shifts: int) -> float:
@@ -220,12 +197,7 @@ def classify(ahead_km: Floats) -> Ints:
 
 
 def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
-    """Return quantiles that are consistent with given bounds.
-
-    Parameters
-    ----------
-    lower, upper : float
-        Quantiles of `LOWER_LEVEL` and `UPPER_LEVEL`, which replace those of the table. The others are clipped.
+    """Return quantiles that are consistent with bounds, which replace those of `LOWER_LEVEL` and `UPPER_LEVEL`.
 
     Examples
     --------

@@ -54,23 +54,23 @@ class DailyUpdate(Wire):
 
 
 class DayRollover:
-    """Detect the changes of the UTC day."""
+    """Detect the changes of the UTC day.
+
+    Attributes
+    ----------
+    midnight : float
+        Midnight at which the present day ends; -inf before the first day. [Unix s]
+    """
 
     def __init__(self) -> None:
-        self._midnight = -np.inf  # coming one [s]
+        self.midnight = -np.inf
         self._place = 0  # of the next sample in `_newest`
         self._newest = np.full(WINDOW_SAMPLES, -1)  # lanes of the newest samples, a ring
         self._clocks = np.zeros(0, CAR_CLOCK)
         self._recent_votes, self._window_votes = np.zeros(_VOTES, np.int64), np.zeros(_VOTES, np.int64)
 
     def add_updates(self, batch: Batch, events: list[Event]) -> list[Event]:
-        """Return the messages between the rows of a batch, with a daily update where the day changes.
-
-        Returns
-        -------
-        list of Event
-            In the order of their rows; an update follows the messages that came before its row.
-        """
+        """Return the messages between the rows of a batch, with a daily update after those before a change of day."""
         updates = [Event(row, -1, DailyUpdate(end)) for row, end in self.find_rollovers(batch.lane, batch.stamp)]
         return sorted([*events, *updates], key=itemgetter(0)) if updates else events
 
@@ -88,17 +88,13 @@ class DayRollover:
         lanes = int(lane.max(initial=-1)) + 1
         self._clocks = grown(self._clocks, lanes, _UNKNOWN_CLOCK)
         days: list[tuple[int, float]] = []
-        row = -1
-        while (row := self._process_samples(lane, stamp, row + 1)) < len(lane):
+        now, start = (self._newest, self._clocks, self._recent_votes, self._window_votes), 0
+        while (row := int(_process_samples(lane, stamp, start, self._place, self.midnight, *now))) < len(lane):
             self._begin_day()
-            days.append((row, self._midnight))
+            days.append((row, self.midnight))
+            start = row + 1
         self._place = (self._place + len(lane)) % WINDOW_SAMPLES
         return days
-
-    @property
-    def midnight(self) -> float:
-        """Return the midnight at which the present day ends; -inf before the first day. [Unix s]"""
-        return self._midnight
 
     def measure_silence(self, lanes: Ints) -> Floats:
         """Return how long cars have been silent, by the stamps of most active cars; 0 for an active car. [s]
@@ -125,42 +121,29 @@ class DayRollover:
         known = ~np.isnan(self._clocks["older"]) & ~np.isnan(self._clocks["newer"])
         return self._clocks[(self._clocks["window"] > 0) & known]
 
-    def _process_samples(self, lane: Ints, stamp: Floats, start: int) -> int:
-        """Process samples from a row on; return the row at which the day changes, or the number of rows."""
-        votes = self._recent_votes, self._window_votes
-        return int(
-            _process_samples(lane, stamp, start, self._place, self._midnight, self._newest, self._clocks, *votes)
-        )
-
     def _begin_day(self) -> None:
         """Begin the day that most cars vote for."""
         if self._recent_votes[NEXT_DAY] > self._recent_votes[TODAY]:
-            self._midnight += SECONDS_PER_DAY
+            self.midnight += SECONDS_PER_DAY
         else:
             active = self._get_active_clocks()
             if self._window_votes[AHEAD] > self._window_votes[BEHIND]:
                 stamps = -np.sort(-np.minimum(active["older"], active["newer"]))
             else:
                 stamps = np.sort(np.maximum(active["older"], active["newer"]))
-            self._midnight = float((np.floor(stamps[len(stamps) // 2] / SECONDS_PER_DAY) + 1.0) * SECONDS_PER_DAY)
+            self.midnight = float((np.floor(stamps[len(stamps) // 2] / SECONDS_PER_DAY) + 1.0) * SECONDS_PER_DAY)
         self._count_votes()
 
     def _count_votes(self) -> None:
         """Count the votes of all active cars."""
         self._recent_votes[:] = self._window_votes[:] = 0
         for clock in self._clocks[self._clocks["window"] > 0]:
-            vote = _vote(clock["older"], clock["newer"], self._midnight)
+            vote = _vote(clock["older"], clock["newer"], self.midnight)
             self._recent_votes[vote] += clock["recent"] > 0
             self._window_votes[vote] += 1
 
     def keep(self, kept: Ints, later: Ints) -> None:
-        """Keep the state of some lanes only, in their order.
-
-        Parameters
-        ----------
-        later : (m,) int
-            Lanes of cars that the batch brings later, in the order of their appearance; they follow the kept ones.
-        """
+        """Keep the state of some lanes only, in their order; then follow those of cars that the batch brings later."""
         lanes = np.concatenate([kept, later])
         number = np.full(int(max(lanes.max(initial=-1), self._newest.max())) + 2, -1)
         number[lanes] = np.arange(len(lanes))
@@ -172,11 +155,11 @@ class DayRollover:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self._midnight, self._place, self._newest.tobytes(), self._clocks.tobytes()
+        return self.midnight, self._place, self._newest.tobytes(), self._clocks.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._midnight, self._place, newest, clocks = state
+        self.midnight, self._place, newest, clocks = state
         self._newest = np.frombuffer(newest, np.int64).copy()
         self._clocks = np.frombuffer(clocks, CAR_CLOCK).copy()
         self._count_votes()

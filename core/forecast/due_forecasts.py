@@ -10,13 +10,13 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.forecast.day_rollover import DayRollover
 from socast.core.forecast.engine import DueInput, ForecastEngine
-from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.forecast_rows import Rows, join_rows
 from socast.core.forecast.messages import build_forecasts
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
-from socast.core.forecast.plausibility import withhold_implausible
-from socast.core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
+from socast.core.forecast.plausibility import withhold_charge, withhold_implausible
+from socast.core.forecast.tables import tabulate_outlooks, tabulate_shifts
 from socast.core.forecast.weather_forecasts import ForecastArrival
-from socast.core.forecast.what_if import answer_query, explain_unknown_vehicle, withhold_charge
+from socast.core.forecast.what_if import answer_query, explain_unknown_vehicle
 from socast.core.totals.accumulator import Sums, Totals, join_totals
 from socast.core.vehicles.fleet import ReplacedKind
 from socast.core.wire.messages import Leg, Message, Outlook, Plan
@@ -31,21 +31,12 @@ class PendingInput:
     """Collect totals, dispatch messages and weather forecasts until it pays to compute forecasts.
 
     Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
-    are counted from the first pending batch.
-
-    Parameters
-    ----------
-    keep : bool
-        False drops all input, for a consumer without forecasts.
-
-    Attributes
-    ----------
-    before : int
-        Number of messages since the first pending batch, before the present one.
+    are counted from the first pending batch: `before` is their number before the present one. Without `keep`, for a
+    consumer without forecasts, all input is dropped.
     """
 
     def __init__(self, none: Totals, *, keep: bool = True) -> None:
-        self._none, self.keep = none, keep
+        self._none, self._nothing, self.keep = none, Sums(none, none, none, none), keep
         self._sums: list[Sums] = []
         self._arrivals: list[PlanArrival | DriverNamed | ForecastArrival] = []
         self._replaced: list[ReplacedKind] = []
@@ -93,11 +84,9 @@ class PendingInput:
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
         forecasts = [each for each in due if isinstance(each, ForecastArrival)]
-        rides, idle, running = (
-            join_totals([getattr(each, name) for each in sums], self._none)
-            for name in ("rides", "idle_periods", "running")
-        )
-        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, forecasts, replaced)
+        used = [each._replace(windows=self._none) for each in sums]
+        joined = Sums(*(join_totals(parts, self._none) for parts in zip(*used, strict=True))) if used else self._nothing
+        return DueInput(joined, plans, drivers, forecasts, replaced)
 
 
 class DueForecasts:
@@ -105,19 +94,14 @@ class DueForecasts:
 
     Parameters
     ----------
-    names : RideNames
-        Names of the rides in the totals.
-    prefix : str
-        Chunks before `fleet` in the keys, with a slash at the end.
-    keep : bool
-        False computes no forecasts.
-    keep_outlooks : bool
-        True keeps the forecasts of the charge, and the shifts, until their tables are taken.
+    names : Names of the rides in the totals.
+    prefix : Chunks before `fleet` in the keys, with a slash at the end.
+    keep : False computes no forecasts.
+    keep_outlooks : True keeps the forecasts of the charge, and the shifts, until their tables are taken.
 
     Attributes
     ----------
-    implausible : Counter of str
-        Number of forecasts and answers that were withheld, by cause, see `socast.core.forecast.plausibility`.
+    implausible : Number of forecasts and answers that were withheld, by cause.
     """
 
     def __init__(
@@ -127,9 +111,8 @@ class DueForecasts:
         self.pending, self.keep_outlooks = PendingInput(none, keep=keep), keep_outlooks
         self.engine, self._none, self._names, self._prefix = engine, none, names, prefix
         self._totals: list[Totals] = []
-        self._rows: list[ForecastRows] = []
+        self._rows, self._outlooks = list[Rows](), list[Rows]()
         self._built: list[Message] = []
-        self._published: list[PublishedForecasts] = []
 
     def add(self, sums: Sums, rows: int, place: int) -> None:
         """Add the totals of a number of rows, before a place in the batch."""
@@ -153,7 +136,7 @@ class DueForecasts:
             self._totals.append(running)
             self._rows.append(rows)
             if self.keep_outlooks:
-                self._published.append(PublishedForecasts.create(running, rows))
+                self._outlooks.append(rows)
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
@@ -196,7 +179,7 @@ class DueForecasts:
     def take_outlooks(self) -> pd.DataFrame:
         """Return and drop the table of the forecasts of the charge."""
         self.update()
-        taken, self._published = self._published, []
+        taken, self._outlooks = self._outlooks, []
         return tabulate_outlooks(taken, self.engine.context)
 
     def take_shifts(self) -> pd.DataFrame:
@@ -208,10 +191,10 @@ class DueForecasts:
         """Return and drop the forecasts whose messages are not built yet."""
         if not self._totals:
             return []
-        due, rows = join_totals(self._totals, self._none), ForecastRows.join(self._rows)
+        due, rows = join_totals(self._totals, self._none), join_rows(self._rows)
         self._totals, self._rows = [], []
         if newest_only:
             last = due.newest()
-            due, rows = due.rows(last), rows.rows(last)
+            due, rows = due.rows(last), rows.take(last)
         names = self._names.names(due.at_last("code").tolist())
         return build_forecasts(due, rows, names, self.engine.context, self._prefix, self.implausible)

@@ -8,7 +8,7 @@ messages are cut into batches, nor on which other cars sent samples a moment ear
 from bisect import bisect_right
 from collections.abc import Sequence
 from heapq import heappop, heappush
-from math import inf, nan
+from math import inf
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, RowsOfLanes, grown, take_lanes
 from socast.core.columns import JOULES_PER_KWH, ZERO_CELSIUS
-from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.filter_state import (
     CLOSED,
     CLOSED_SHIFT,
@@ -28,10 +27,16 @@ from socast.core.forecast.filter_state import (
     SOC_ESTIMATE,
     create_filter_state,
 )
-from socast.core.forecast.forecast_rows import NEWEST_FORECAST, ForecastRows, compute_forecast_rows
+from socast.core.forecast.forecast_rows import (
+    NEWEST_FORECAST,
+    Rows,
+    compute_forecast_rows,
+    create_records,
+    select_newest,
+)
 from socast.core.forecast.learning.car_driver import compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
-from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord, Outcome
+from socast.core.forecast.learning.forecast_errors import ForecastLog, Outcome
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.outlook import compute_charge_between, compute_temperature_weights, find_expected_end
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
@@ -52,8 +57,7 @@ class DueInput(NamedTuple):
 
     Parameters
     ----------
-    replaced : sequence of ReplacedKind
-        Kinds of car that vehicle messages replaced among these messages, and after them.
+    replaced : Kinds of car that vehicle messages replaced among these messages, and after them.
     """
 
     sums: Sums
@@ -81,14 +85,6 @@ class KindHistory:
         return int(self._of_lane[lane]) if lane < len(self._of_lane) else UNKNOWN
 
 
-class _Evaluation(NamedTuple):
-    """Hold a step of the evaluation: place in the batch, whether forecasts are due there, number of its data."""
-
-    at: int
-    of_forecast: bool
-    number: int
-
-
 class ForecastEngine:
     """Run the filters, plans and shifts of every lane, with the statistics of the fleet.
 
@@ -107,7 +103,7 @@ class ForecastEngine:
         self.newest = np.zeros(0, NEWEST_FORECAST)
         self.closed: list[NDArray[np.void]] = []
 
-    def process(self, due: DueInput) -> ForecastRows:
+    def process(self, due: DueInput) -> Rows:
         """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows."""
         sums, kinds = due.sums, KindHistory(self._cars, due.replaced)
         lanes = len(self.context.lanes)
@@ -128,7 +124,7 @@ class ForecastEngine:
             return self.statistics.get_tables(lane, kinds.find(lane, at))
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
-        self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
+        self.statistics.charged_soc.add_charges(self.plans.outcomes)
         time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
@@ -136,7 +132,7 @@ class ForecastEngine:
         rows = compute_forecast_rows(
             sums.running, self._predict(sums.running), estimates, progress, ambient, self.statistics, self._cars
         )
-        self.newest.put(sums.running.lane, rows.get_newest())
+        self.newest.put(sums.running.lane, select_newest(rows))
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
@@ -183,13 +179,12 @@ class ForecastEngine:
         """Write totals as events."""
         duration, riding = totals.amount("duration"), totals.ride >= 0
         ambient = totals.amount("ambient")
-        kind = totals.at_last("kind").astype(np.int64)
-        mean_ambient = np.divide(ambient, duration, out=np.full(len(duration), np.nan), where=duration > 0.0)
+        kind = totals.kinds
+        mean_ambient = totals.share("ambient", otherwise=np.nan)
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"], out["car_kind"] = totals.lane, totals.at_last("time"), kind
-        energies = self.statistics.predict_energies(totals, weights)
-        out["predicted"], out["warm_up"], out["level"], out["level_sd"] = energies
+        self.statistics.predict_energies(totals, weights, out)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
@@ -207,28 +202,25 @@ class ForecastEngine:
             event["kind"], event["lane"], event["driver"] = DRIVER_NAMED, named.lane, code
             event["driver_mean"], event["driver_variance"] = part.mean, part.variance
 
-    def _evaluate(
-        self, running: Totals, rows: ForecastRows, shifts: NDArray[np.void], at: Ints, kinds: "KindHistory"
-    ) -> None:
+    def _evaluate(self, running: Totals, rows: Rows, shifts: NDArray[np.void], at: Ints, kinds: "KindHistory") -> None:
         """Record forecasts, and evaluate those whose end has come, in the order of their places.
 
-        `at` is the place of each event in the batch.
+        `at` is the place of each event in the batch. A step has a place, whether a forecast is due there, and a number.
         """
-        steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
-        time, rows_of_lanes = running.at_last("time"), RowsOfLanes(running.lane)
+        steps = [(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
+        time, mean, arrived = rows["time"], rows["raw_end_soc"], rows["arrived"]
+        rows_of_lanes = RowsOfLanes(running.lane)
 
         def add_next(lane: int, first: int) -> None:
             """Add the first row of a lane, from a place on, at which a forecast is due."""
             of_lane = rows_of_lanes.find(lane)
             left = of_lane[np.searchsorted(running.at[of_lane], first) :]
-            due = self.log.is_due(lane, time[left], rows.raw_end_soc[left], rows.arrived[left])
+            due = self.log.is_due(lane, time[left], mean[left], arrived[left])
             if due.any():
                 row = int(left[due.argmax()])
-                heappush(steps, _Evaluation(int(running.at[row]), True, row))
+                heappush(steps, (int(running.at[row]), True, row))
 
-        for lane in np.unique(
-            running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc, rows.arrived)]
-        ).tolist():
+        for lane in np.unique(running.lane[self.log.is_due(running.lane, time, mean, arrived)]).tolist():
             add_next(lane, 0)
         while steps:
             place, of_forecast, i = heappop(steps)
@@ -236,25 +228,19 @@ class ForecastEngine:
                 lane = int(shifts[i]["lane"])
                 self._close_shift(shifts[i], kinds.find(lane, place))
                 add_next(lane, place)
-            elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i], rows.arrived[i]):
-                now, arrived = float(time[i]), float(rows.arrived[i])
-                columns = rows.reported_soc, rows.charged, rows.faulty, rows.shift_kwh, rows.level
-                outcome = Outcome(*(float(column[i]) for column in columns))
-                at_charge = outcome._replace(soc=float(rows.arrival_soc[i]))
-                self.statistics.add_errors(self.log.evaluate_arrival(lane, arrived, at_charge))
-                self.statistics.add_errors(self.log.evaluate_until(lane, now, outcome))
-                has_charge = bool(np.isfinite(rows.raw_charge_soc[i]))
-                to_charge = _create_charge_record(now, rows, i) if has_charge else None
-                self.log.record(lane, _create_record(now, rows, i), to_charge)
+            elif self.log.is_due(lane := int(running.lane[i]), time[i], mean[i], arrived[i]):
+                outcome = Outcome.read(rows[i])
+                at_charge = outcome._replace(soc=float(rows["arrival_soc"][i]))
+                self.statistics.add_errors(self.log.evaluate_arrival(lane, float(rows["arrived"][i]), at_charge))
+                self.statistics.add_errors(self.log.evaluate_until(lane, float(time[i]), outcome))
+                self.log.record(lane, *create_records(rows[i]))
                 add_next(lane, place + 1)
 
     def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
         """Learn from a shift of a car of a kind that has ended."""
         lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
         self.closed.append(shift.copy())
-        names = "last_soc", "charged", "faulty", "awake_predicted", "level"
-        outcome = Outcome(*(float(shift[name]) for name in names))
-        self.statistics.add_errors(self.log.evaluate_shift(lane, outcome))
+        self.statistics.add_errors(self.log.evaluate_shift(lane, Outcome.read(shift)))
         capacity = float(self._cars.capacity[kind])
         begin_soc, last_soc, curve = (float(shift[name]) for name in ("begin_soc", "last_soc", "curve"))
         used = compute_charge_between(begin_soc, last_soc, curve) * capacity
@@ -279,13 +265,7 @@ class ForecastEngine:
         self.plans.renew_energies(midnight, self.statistics.get_tables)
 
     def finish(self, *, interrupted: bool = False) -> None:
-        """Close every shift in progress at the end of the stream.
-
-        Parameters
-        ----------
-        interrupted : bool
-            Whether the stream ends within shifts. Then only those that are over by plan are closed.
-        """
+        """Close every shift in progress at the end of the stream; if it interrupts them, those over by plan."""
         is_open = self.state["shift"] >= 0.0
         if interrupted:
             progress = self.plans.progress[: len(is_open)]
@@ -336,37 +316,3 @@ class ForecastEngine:
         self.log.load(log)
         self.newest = np.frombuffer(newest, NEWEST_FORECAST).copy()
         self.state = np.frombuffer(filters, FILTER_STATE).copy()
-
-
-def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
-    """Return the record of the forecast for the end of the shift at a row."""
-    return ForecastRecord(
-        time=time,
-        end=float(rows.shift_end_s[i]),
-        basis=int(rows.basis[i]),
-        ahead_km=float(rows.energy_km_ahead[i]),
-        ambient_c=float(rows.ambient_c[i]),
-        mean=float(rows.raw_end_soc[i]),
-        sd=float(rows.raw_end_soc_sd[i]),
-        lower=float(rows.soc_end_of_shift_p05[i]),
-        upper=float(rows.soc_end_of_shift_p95[i]),
-        driving=nan if rows.basis[i] == OVER_CHARGE else float(rows.driving_kwh[i]),
-        waiting=nan if rows.basis[i] == OVER_CHARGE else float(rows.waiting_kwh[i]),
-        predicted=float(rows.shift_kwh[i]),
-        level=float(rows.level[i]),
-    )
-
-
-def _create_charge_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
-    """Return the record of the forecast for the next planned charge at a row."""
-    return _create_record(time, rows, i)._replace(
-        end=inf,
-        basis=TO_CHARGE,
-        ahead_km=float(rows.charge_energy_km[i]),
-        mean=float(rows.raw_charge_soc[i]),
-        sd=float(rows.raw_charge_soc_sd[i]),
-        lower=float(rows.charge_soc_p05[i]),
-        upper=float(rows.charge_soc_p95[i]),
-        driving=float(rows.driving_kwh[i]),
-        waiting=float(rows.waiting_kwh[i]),
-    )

@@ -1,15 +1,14 @@
 """Pass each message that is no sample to the step that uses it, and cut a batch where the day changes."""
 
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from socast.core.batch import Batch
+from socast.core.batch import Batch, Ints, take_keys
 from socast.core.cleaning.segmentation import SILENCE, UNKNOWN_NAME
 from socast.core.forecast.day_rollover import DailyUpdate
 from socast.core.forecast.due_forecasts import DueForecasts
-from socast.core.forecast.newest_plans import NewestPlans
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
 from socast.core.forecast.silent_cars import RestOfBatch, SilentCars
 from socast.core.forecast.weather_forecasts import ForecastArrival
@@ -19,8 +18,39 @@ from socast.core.vehicles.fleet import ReplacedKind
 from socast.core.wire.decoder import Decoder, Event, Refused
 from socast.core.wire.message_order import MessageOrder, Piece, Silence, VehicleChange
 from socast.core.wire.messages import Plan, Ride, Vehicle, Weather
+from socast.core.wire.plan_checks import find_refusal, is_outdated
 
 _NO_KINDS: Final = np.zeros(0, np.int64)
+
+
+class NewestPlans:
+    """Remember when dispatch made the newest usable plan of each lane; an older plan arrived out of order."""
+
+    def __init__(self) -> None:
+        self._made: dict[int, float] = {}
+
+    def refuse(self, lane: int, plan: Plan) -> str | None:
+        """Return the cause for which a plan cannot be used, None where it can."""
+        if is_outdated(plan, self._made.get(lane, plan.time_s)):
+            return "plan_in_the_past"
+        refused = find_refusal(plan, plan.time_s)
+        return None if refused is None else refused.cause
+
+    def accept(self, lane: int, plan: Plan) -> None:
+        """Remember a usable plan as the newest of its lane."""
+        self._made[lane] = plan.time_s
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._made = take_keys(self._made, lanes)
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        return list(self._made.items())
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        self._made = {int(lane): time for lane, time in state}
 
 
 class EventIntake:

@@ -11,12 +11,9 @@ DEFAULT_QUANTUM: Final = 0.01
 CAPACITY_SD: Final = 0.15
 """Standard deviation of `log_capacity` before any data, from age, temperature and the car's definition of full. [1]"""
 
-RUNNING: Final = 0
-"""Event kind: totals of the ride or idle period in progress."""
-CLOSED: Final = 1
-"""Event kind: totals of a ride or idle period that has ended."""
-DRIVER_NAMED: Final = 2
-"""Event kind: identity of the driver from the next running totals on."""
+RUNNING, CLOSED, DRIVER_NAMED = range(3)
+"""Kinds of events: totals of the ride or idle period in progress; totals of one that has ended; identity of the driver
+from the next running totals on."""
 
 FILTER_STATE: Final = np.dtype(
     [
@@ -26,13 +23,7 @@ FILTER_STATE: Final = np.dtype(
         ("curve", "f8"),  # of the display, see `socast.core.totals.display_yield`, in this shift [1]
         ("log_consumption", "f8"),  # `a`: log of the used over the predicted energy
         ("log_capacity", "f8"),  # `c`: log of the usable over the nominal capacity
-        # covariance matrix of (soc, a, c)
-        ("p_ss", "f8"),
-        ("p_sa", "f8"),
-        ("p_sc", "f8"),
-        ("p_aa", "f8"),
-        ("p_ac", "f8"),
-        ("p_cc", "f8"),
+        *((name, "f8") for name in ("p_ss", "p_sa", "p_sc", "p_aa", "p_ac", "p_cc")),  # covariances of (soc, a, c)
         ("compared_predicted", "f8"),  # energy predicted since both energies were compared last [kWh]
         ("compared_used", "f8"),  # energy measured since then [kWh]
         ("fall", "f8"),  # charge used since the last accepted reading [1]
@@ -44,13 +35,8 @@ FILTER_STATE: Final = np.dtype(
         ("jump", "f8"),  # jumps of the reading that were accepted in the shift, less those that were taken back [1]
         ("charging", "f8"),  # 1 while plugged in
         ("plugged", "f8"),  # since when [s]
-        # totals of the ride or idle period in progress at the previous event
-        ("seen_predicted", "f8"),  # [kWh]
-        ("seen_metered", "f8"),  # [kWh]
-        ("seen_meter_time", "f8"),  # [s]
-        ("seen_time", "f8"),  # [s]
-        ("seen_ambient", "f8"),  # [K s]
-        ("seen_distance", "f8"),  # [m]
+        # totals of the ride or idle period in progress at the previous event, see `FILTER_EVENT`
+        *((f"seen_{name}", "f8") for name in ("predicted", "metered", "meter_time", "time", "ambient", "distance")),
         ("ambient", "f8"),  # newest outside temperature [K]
         ("shift", "f8"),  # ordinal of the shift
         ("begin", "f8"),  # of the shift [s]
@@ -82,8 +68,7 @@ FILTER_STATE: Final = np.dtype(
         ("driver_variance", "f8"),  # variance of the driver's part
         ("drivers", "f8"),  # number of drivers in the shift
         ("next_driver", "f8"),  # driver named since the last running totals, -1 for none
-        ("next_driver_mean", "f8"),
-        ("next_driver_variance", "f8"),
+        *(("next_driver_mean", "f8"), ("next_driver_variance", "f8")),
     ]
 )
 """State of the filter of one car."""
@@ -118,6 +103,14 @@ FILTER_EVENT: Final = np.dtype(
 )
 """Input of the filter: totals of a ride or idle period, or the name of a driver."""
 
+_OF_BOTH: Final = [
+    (name, "f8")
+    for name in (
+        *("shift", "begin", "begin_soc", "last_soc", "curve", "distance", "awake_predicted", "level"),
+        *("charged", "faulty"),
+    )
+]
+"""Fields of the state that an estimate and a closed shift copy; `faulty` is NaN once the reading has recovered."""
 SOC_ESTIMATE: Final = np.dtype(
     [
         ("soc", "f8"),  # published state of charge [1]
@@ -125,24 +118,10 @@ SOC_ESTIMATE: Final = np.dtype(
         ("log_factor", "f8"),  # `a - c`
         ("log_factor_variance", "f8"),
         ("covariance", "f8"),  # of `soc` and `log_factor`
-        ("ambient", "f8"),  # outside temperature [K]
-        ("shift", "f8"),  # ordinal of the shift
-        ("curve", "f8"),  # of the display [1]
-        ("quantum", "f8"),  # of the reported state of charge [1]
-        ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
-        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
-        ("reported", "f8"),  # last accepted reading in the shift [1]
-        ("predicted", "f8"),  # energy predicted since it woke [kWh]
-        ("level", "f8"),  # of the tables that predict it, as a logarithm
-        ("begin", "f8"),  # of the shift [s]
-        ("begin_soc", "f8"),  # [1]
-        ("distance", "f8"),  # driven in the shift [m]
         ("usual", "f8"),  # expected `log_factor` of the shift, before any of its data
-        ("arrived", "f8"),  # when the last charge within the shift began, NaN for none [s]
-        ("arrival_soc", "f8"),  # last reading before that charge [1]
-        ("unplugged", "f8"),  # when it ended, NaN while it lasts [s]
-        ("departed", "f8"),  # 1 once the car has driven on after it
-        ("charged_soc", "f8"),  # last reading before it departed [1]
+        ("departed", "f8"),  # 1 once the car has driven on after the last charge within the shift
+        *_OF_BOTH,
+        *((name, "f8") for name in ("ambient", "quantum", "arrived", "arrival_soc", "unplugged", "charged_soc")),
     ]
 )
 """Output of the filter after each event."""
@@ -151,23 +130,10 @@ CLOSED_SHIFT: Final = np.dtype(
     [
         ("event", "i8"),  # index of the event that closed the shift
         ("lane", "i8"),
-        ("shift", "f8"),  # ordinal
-        ("begin", "f8"),  # [s]
-        ("end", "f8"),  # [s]
-        ("begin_soc", "f8"),  # [1]
-        ("last_soc", "f8"),  # [1]
-        ("lowest_soc", "f8"),  # [1]
-        ("curve", "f8"),  # of the display [1]
-        ("distance", "f8"),  # [m]
-        ("ride_distance", "f8"),  # [m]
-        ("hours", "f8"),  # awake [h]
-        ("predicted", "f8"),  # energy predicted since the car departed [kWh]
-        ("awake_predicted", "f8"),  # energy predicted since it woke [kWh]
-        ("warmth", "f8"),  # [K h]
-        ("level", "f8"),  # of the tables that predict it, as a logarithm
-        ("charged", "f8"),  # time of the last charging, NaN for none [s]
-        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
+        ("end", "f8"),  # time of the newest event [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one
+        *_OF_BOTH,
+        *((name, "f8") for name in ("lowest_soc", "ride_distance", "hours", "predicted", "warmth")),
     ]
 )
 """Summary of a shift that has ended."""

@@ -32,12 +32,9 @@ def is_forecast(message: Message) -> bool:
 
 
 def tabulate_forecasts(messages: Iterable[Message]) -> pd.DataFrame:
-    """Return the forecasts among messages as a table.
+    """Return the forecasts among messages as a table; a value that is absent or null is NaN.
 
-    Returns
-    -------
-    (n, columns) DataFrame
-        `FORECAST_COLUMNS`, and those of fields that this version does not know. A value that is absent or null is NaN.
+    It has `FORECAST_COLUMNS`, and those of fields that this version does not know.
     """
     payloads: list[dict[str, Any]] = [msgspec.json.decode(each.payload) for each in messages if is_forecast(each)]
     table = pd.json_normalize(payloads)

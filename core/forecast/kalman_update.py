@@ -24,12 +24,7 @@ LARGEST_LOG_CAPACITY: Final = log(2.0)
 
 @njit(cache=False)
 def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
-    """Update mean and covariance of the state by a scalar measurement.
-
-    Notes
-    -----
-    With the gain k = cov / variance: x += k residual, P -= k cov^T.
-    """
+    """Update mean and covariance by a scalar measurement: with k = cov / variance, x += k residual and P -= k cov^T."""
     update_mean(state, residual, cov_s, cov_a, cov_c, variance)
     gain_s, gain_a, gain_c = cov_s / variance, cov_a / variance, cov_c / variance
     state.p_ss -= gain_s * cov_s
@@ -75,8 +70,6 @@ def apply_named_driver(state: Any, wandered: float) -> None:
 def update_with_driver(state: Any, wandered: float) -> None:
     """Update the state by a driver whose part is known better than the prior of the shift assumed.
 
-    Notes
-    -----
     The measurement of `a - c` has the precision that the driver's identity adds to the prior of the shift.
     """
     variance = state.usual_variance + state.next_driver_variance - state.driver_variance
@@ -85,14 +78,9 @@ def update_with_driver(state: Any, wandered: float) -> None:
         noise = 1.0 / added
         measured = noise * ((state.usual + state.next_driver_mean) / variance - state.usual / state.usual_variance)
         total = state.p_aa + state.p_cc - 2.0 * state.p_ac + noise + wandered
-        update_state(
-            state,
-            measured - state.log_consumption + state.log_capacity,
-            state.p_sa - state.p_sc,
-            state.p_aa - state.p_ac,
-            state.p_ac - state.p_cc,
-            total,
-        )
+        residual = measured - state.log_consumption + state.log_capacity
+        cov_s, cov_a, cov_c = state.p_sa - state.p_sc, state.p_aa - state.p_ac, state.p_ac - state.p_cc
+        update_state(state, residual, cov_s, cov_a, cov_c, total)
 
 
 @njit(cache=False)

@@ -1,9 +1,9 @@
 """Build the published forecasts from rows of running totals."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import repeat
-from math import isnan
+from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from socast.core.forecast.forecast_rows import PUBLISHED, ForecastRows
+from socast.core.forecast.forecast_rows import PUBLISHED, Rows
 from socast.core.forecast.plausibility import find_implausible
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
@@ -21,28 +21,21 @@ from socast.core.totals.measured_energy import measure_energy
 from socast.core.wire.live_fields import list_interval_columns
 from socast.core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
 
-_COUNTED: Final = {
-    name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
-    for name, bits in FORECAST_CAUSES.items()
-}
+_COUNTED: Final = [
+    [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
+    for bits in FORECAST_CAUSES.values()
+]
+"""Columns of the quality counts that each quality count of a forecast adds up."""
 
 
-def none_if_nan(value: float) -> float | None:
-    """Return the value, None for NaN: unknown values are published as null."""
-    return None if isnan(value) else value
-
-
-def count_quality(totals: Totals) -> dict[str, list[int]]:
-    """Return the quality counts of a forecast, by name; each is a list over the rows of the totals."""
-    return {
-        name: sum(totals.quality[:, place] for place in places).astype(np.int64).tolist()  # type: ignore[union-attr]
-        for name, places in _COUNTED.items()
-    }
+def none_if_unknown(value: float) -> float | None:
+    """Return a number, None where it is not finite: unknown values are published as null."""
+    return value if isfinite(value) else None
 
 
 def build_forecasts(
     running: Totals,
-    rows: ForecastRows,
+    rows: Rows,
     ride_names: Sequence[str | None],
     context: RunContext,
     prefix: str,
@@ -52,10 +45,10 @@ def build_forecasts(
 
     The receipt time is the event time of the sample behind the forecast.
     """
-    ride = RideSoFar.create(running, rows.predicted, context)
+    ride = RideSoFar.create(running, rows["predicted"], context)
     withheld = find_implausible(running, rows, ride.predicted, ride.measured, context.cars)
     implausible.update(cause for cause in withheld if cause)
-    forecasts = fill_forecasts(running, rows._asdict(), ride, ride_names, context)
+    forecasts = fill_forecasts(running, rows, ride, ride_names, context)
     encode = msgspec.json.Encoder().encode
     new = tuple.__new__  # half the time of Message()
     return [
@@ -82,16 +75,17 @@ class RideSoFar(NamedTuple):
 
 def fill_forecasts(
     running: Totals,
-    columns: Mapping[str, Floats],
+    columns: NDArray[np.void],
     ride: RideSoFar,
     ride_names: Sequence[str | None],
     context: RunContext,
 ) -> Iterator[Forecast]:
     """Return one forecast per row of running totals; NaN stands for an unknown number, and is encoded as null.
 
-    `columns` holds those of `ForecastRows` that are published.
+    `columns` holds those of `FORECAST_ROW` that are published.
     """
     names, riding = context.vehicle_ids, ride.is_riding
+    counts = (running.quality[:, places].sum(axis=1).astype(np.int64).tolist() for places in _COUNTED)
     values: dict[str, Iterable[Any]] = {
         "vehicle_id": [names[lane] for lane in running.lane.tolist()],
         "time_s": running.at_last("time").tolist(),
@@ -101,7 +95,7 @@ def fill_forecasts(
         "ride_duration_s": np.where(riding, running.amount("duration"), 0.0).tolist(),
         "ride_energy_predicted_kwh": ride.predicted.tolist(),
         "ride_energy_measured_kwh": ride.measured.tolist(),
-        "quality": map(QualityCounts, *count_quality(running).values()),
+        "quality": map(QualityCounts, *counts),
         "next_charge": _list_charges(columns),
     }
     for field in PUBLISHED:
@@ -110,19 +104,19 @@ def fill_forecasts(
     return map(Forecast, *map(values.__getitem__, Forecast.__struct_fields__))
 
 
-def _list_charges(columns: Mapping[str, Floats]) -> list[NextCharge | UnsetType]:
+def _list_charges(columns: NDArray[np.void]) -> list[NextCharge | UnsetType]:
     """Return the forecasts of the next planned charges, UNSET where none is ahead."""
     mean, low, high = (100.0 * columns[name] for name in list_interval_columns("charge_soc"))
     if np.isnan(mean).all():
         return [UNSET] * len(mean)
     times, risks = columns["charge_time"].tolist(), columns["charge_risk"].tolist()
     parts = zip(times, list_intervals(mean, low, high), risks, strict=True)
-    return [UNSET if soc is None else NextCharge(when, soc, none_if_nan(risk)) for when, soc, risk in parts]
+    return [UNSET if soc is None else NextCharge(when, soc, none_if_unknown(risk)) for when, soc, risk in parts]
 
 
 def list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
     """Return intervals, None where the quantity is unknown."""
-    unknown = np.isnan(mean) | np.isnan(low) | np.isnan(high)
+    unknown = ~(np.isfinite(mean) & np.isfinite(low) & np.isfinite(high))
     if unknown.all():
         return [None] * len(mean)
     intervals: list[Interval | None] = list(map(Interval, mean.tolist(), low.tolist(), high.tolist()))

@@ -46,22 +46,13 @@ class EnergyAhead(NamedTuple):
 
     Parameters
     ----------
-    energy : (n,) float
-        [kWh]
-    sd : (n,) float
-        Standard deviation of the energy beside that of the level of the shift. [kWh]
-    planned : (n, 2) float
-        Energy of driving and of waiting as planned, NaN without a plan. [kWh]
-    km : (n,) float
-        Distance of rides. [km]
-    hours : (n,) float
-        Time until then. [h]
-    end : (n,) float
-        When the shift ends, not before now nor before the planned legs can be driven. [s]
-    reserve : (n,) float
-        State of charge to keep. [1]
-    basis : (n,) int
-        `BY_PLAN`, `TO_CHARGE` or `BY_HISTORY`.
+    energy, sd : Energy, and its standard deviation beside that of the level of the shift. [kWh]
+    planned : Energy of driving and of waiting as planned, NaN without a plan, (n, 2) float. [kWh]
+    km : Distance of rides. [km]
+    hours : Time until then. [h]
+    end : When the shift ends, not before now nor before the planned legs can be driven. [s]
+    reserve : State of charge to keep. [1]
+    basis : `BY_PLAN`, `TO_CHARGE` or `BY_HISTORY`, (n,) int.
     """
 
     energy: Floats
@@ -75,18 +66,7 @@ class EnergyAhead(NamedTuple):
 
 
 class CarEstimate(NamedTuple):
-    """Estimate of the filter for n cars, (n,) float each.
-
-    Parameters
-    ----------
-    soc, variance : State of charge and its variance. [1]
-    log_factor, log_factor_variance : `a - c` of `socast.core.forecast.soc_filter`, and its variance. [1]
-    covariance : Covariance of `soc` and `log_factor`. [1]
-    usual : Expected `log_factor`, before any data of the shift. [1]
-    quantum : Quantum of the reported state of charge. [1]
-    curve : Curve of the display, see `socast.core.totals.display_yield`. [1]
-    capacity : Nominal usable capacity. [kWh]
-    """
+    """Hold what `SOC_ESTIMATE` says of n cars, and their nominal usable capacities [kWh], (n,) float each."""
 
     soc: Floats
     variance: Floats
@@ -151,34 +131,15 @@ class MeanAndSd(NamedTuple):
 
 
 class UsualConsumption(NamedTuple):
-    """Hold the usual consumption of n cars at their outside temperatures.
+    """Hold the usual consumption of n cars at their outside temperatures, (n,) float each.
 
     Parameters
     ----------
-    weights : (n, temperatures) float
-        Weights of the knots of temperature. [1]
-    standing_power : (n,) float
-        Power of a car that waits. [kW]
-    approach_energy : (n,) float
-        Mean energy of the empty way to a ride, beyond that of standing as long. [kWh]
-    warm_up_energy : (n,) float
-        Energy that is left of the warm-up of the shift. [kWh]
-    energy_per_km : (n,) float
-        Energy of rides and idle periods over the kilometres of rides. [kWh/km]
-    mean_power : (n,) float
-        The same energy over the hours of both. [kW]
-    driving_energy_per_km : (n,) float
-        Energy of a kilometre on a long way at the usual pace. [kWh/km]
-    ride_pace : (n,) float
-        Time per kilometre of rides. [min/km]
-    covariance : (n, 2, 2) float
-        Covariance of the relative energies of driving and of waiting beside that of the usual mix. [1]
-    plan_factor : (n, 2) float
-        Energy that is done over what is planned, of driving and of waiting. [1]
-    plan_covariance : (n, 2, 2) float
-        Covariance of both.
-    plan_spread : (n,) float
-        Variance of the energy that is done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    weights : Weights of the knots of temperature, (n, temperatures) float. [1]
+    standing_power, ..., ride_pace : Values of `LegEnergyTables` of the same names.
+    warm_up_energy : That which is left of the warm-up of the shift. [kWh]
+    covariance : The same as `LegEnergyTables.parts_covariance`, (n, 2, 2) float. [1]
+    plan_factor, plan_covariance, plan_spread : What is done of plans, see `PlanOutcomes`.
     """
 
     weights: Floats
@@ -194,24 +155,20 @@ class UsualConsumption(NamedTuple):
     plan_covariance: Floats
     plan_spread: Floats
 
+    def weigh(self, energy: Floats) -> Floats:
+        """Return the energies of cars at the knots of temperature, interpolated to their temperatures. [kWh]"""
+        return np.asarray(np.einsum("ij,ij->i", energy, self.weights))
+
     def expect_plan(self, parts: Floats) -> MeanAndSd:
         """Return the energy of what is done of a plan, where `parts` are driving and waiting as planned, (n, 2). [kWh]
 
         With a consumption of one car, any number of plans may be asked for.
         """
         energy = (parts * self.plan_factor).sum(axis=1)
-        variance = _compute_form(self.covariance + self.plan_covariance, parts)
+        covariance = np.broadcast_to(self.covariance + self.plan_covariance, (len(parts), 2, 2))
+        variance = np.einsum("np,npq,nq->n", parts, covariance, parts)
         variance += self.plan_spread * np.maximum(energy, 0.0)
         return MeanAndSd(energy, np.sqrt(np.maximum(variance, 0.0)))
-
-    def compute_driving_sd(self, driving: Floats) -> Floats:
-        """Return the standard deviation of an energy of driving beside that of the usual mix. [kWh]"""
-        return np.asarray(np.sqrt(np.maximum(self.covariance[:, 0, 0], 0.0)) * driving)
-
-
-def _compute_form(covariance: Floats, parts: Floats) -> Floats:
-    """Return the quadratic form of covariances, (n, 2, 2) or (1, 2, 2), and parts, (n, 2)."""
-    return np.asarray(np.einsum("np,npq,nq->n", parts, np.broadcast_to(covariance, (len(parts), 2, 2)), parts))
 
 
 class PlanTimes(NamedTuple):
@@ -222,6 +179,7 @@ class PlanTimes(NamedTuple):
     end : When the shift ends. [s]
     left : Share of the next leg that is left. [1]
     kept : Share of the rides not begun for which there is time until the end; 1 in plans with charges. [1]
+    approaches : Number of empty ways to the rides not begun, until the next planned charge. [1]
     pause : Mean wait before a leg, in plans with charges. [h]
     waits : Number of these waits until the next planned charge. [1]
     waiting : Waits until the next planned charge, or else the end of the shift. [h]
@@ -233,6 +191,7 @@ class PlanTimes(NamedTuple):
     end: Floats
     left: Floats
     kept: Floats
+    approaches: Floats
     pause: Floats
     waits: Floats
     waiting: Floats
@@ -254,14 +213,9 @@ def schedule_plan(
 
     A plan does not state when a leg begins. Without charges, what matters is the time that remains for waiting. With
     charges it is spread evenly before the rides and charges. Rides that have not begun, and for which there is no time
-    left, will not come: their passengers did not, or another car took them.
+    left, will not come: their passengers did not, or another car took them, unless the car `drives_all`.
 
-    Parameters
-    ----------
-    charging_since : (n,) float
-        When a car that stands at a charger came there, NaN for others. [s]
-    drives_all : bool
-        Whether all rides are driven, however late.
+    Units: charging_since [s] of a car that stands at a charger, NaN for others.
     """
     left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
     begun = riding * left * progress["leg_s"]
@@ -275,8 +229,8 @@ def schedule_plan(
     end = np.maximum(progress["end"], time + (driving + (middle + progress["after_s"])))
     hours = (end - time) / 3600.0
     spare = np.maximum(hours - (driving + (middle + progress["after_s"])) / 3600.0, 0.0)
-    approaches = kept * (progress["legs"] - riding * (progress["legs"] > 0.0))
     has_charge = progress["charges"] > 0.0
+    approaches = kept * (progress["legs"] - riding * (progress["legs"] > 0.0))
     waits = approaches + (has_charge & np.isnan(charging_since))
     between = progress["between_legs"] + np.maximum(progress["charges"] - 1.0, 0.0)
     number = waits + between + progress["after_legs"]
@@ -285,7 +239,7 @@ def schedule_plan(
     until = np.where(has_charge, driving / 3600.0 + waiting, hours)
     waiting_after = np.where(number > 0.0, progress["after_legs"] * pause, spare)
     after = progress["after_s"] / 3600.0 + waiting_after
-    return PlanTimes(end, left, kept, pause, waits, waiting, until, after, waiting_after)
+    return PlanTimes(end, left, kept, approaches, pause, waits, waiting, until, after, waiting_after)
 
 
 def compute_planned_energy(
@@ -293,19 +247,14 @@ def compute_planned_energy(
 ) -> EnergyAhead:
     """Return the energy ahead by plan, until the next planned charge, or else the end of the shift."""
     left, kept, has_charge = times.left, times.kept, progress["charges"] > 0.0
-    whole, begun, later = (
-        np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
-        for name in ("leg_kwh", "begun_kwh", "later_kwh")
-    )
-    approaches = (
-        kept * (progress["legs"] - riding * (progress["legs"] > 0.0)) + has_charge
-    )  # the way to a charger is empty, too
+    whole, begun, later = (usual.weigh(progress[name]) for name in ("leg_kwh", "begun_kwh", "later_kwh"))
+    approaches = times.approaches + has_charge  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
     parts = np.column_stack([np.where(riding, left * begun, kept * whole) + kept * later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.expect_plan(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
-    known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
+    known = _is_planned(progress, time)
     return EnergyAhead(
         np.where(known, energy.mean, np.nan),
         np.where(has_charge, np.hypot(energy.sd, timing_sd), energy.sd),
@@ -323,16 +272,14 @@ def is_plan_current(came: Any, end: Any, time: Any) -> Any:
     return (time >= came - PLAN_LEAD) & (time <= end + OVERTIME)
 
 
-def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, patterns: NDArray[np.void]) -> Floats:
-    """Return when shifts are expected to end, (n,). [s]
+def _is_planned(progress: NDArray[np.void], time: Floats) -> NDArray[np.bool_]:
+    """Return where there is a plan that applies to a time [s], whose energy is known."""
+    return np.asarray((progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time))
 
-    Returns
-    -------
-    (n,) float
-        By the plan, else by the car's usual shifts; NaN where neither is known.
-    """
-    planned = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
-    return np.where(planned, progress["end"], begin + 3600.0 * patterns["hours"])
+
+def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, patterns: NDArray[np.void]) -> Floats:
+    """Return when shifts are expected to end, by the plan or else by the car's usual shifts; NaN where unknown. [s]"""
+    return np.where(_is_planned(progress, time), progress["end"], begin + 3600.0 * patterns["hours"])
 
 
 def fill_from_history(
@@ -386,9 +333,8 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
         energy = left * estimate.capacity / factor
     km = energy / per_km
     driving = km * per_km
-    at_reserve = compute_end_soc(
-        estimate, MeanAndSd(driving, usual.compute_driving_sd(driving)), km * usual.ride_pace / 60.0
-    )
+    sd = np.sqrt(np.maximum(usual.covariance[:, 0, 0], 0.0)) * driving  # beside that of the usual mix
+    at_reserve = compute_end_soc(estimate, MeanAndSd(driving, sd), km * usual.ride_pace / 60.0)
     return DrivingRange(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
 
 
@@ -419,13 +365,10 @@ def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> 
 
 
 def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> Floats:
-    """Return the probability that the charge ends below the reserve.
+    """Return the probability that the charge ends below the reserve, by the quantiles of the standardised error.
 
-    Parameters
-    ----------
-    quantiles : (n, levels) float
-        Quantiles of the standardised error. Beyond the outermost ones the probability falls linearly to 0, or rises to
-        1, within half of their distance from the median.
+    Beyond the outermost quantiles the probability falls linearly to 0, or rises to 1, within half of their distance
+    from the median.
     """
     at = (reserve - end.mean) / end.sd
     middle = quantiles[:, len(LEVELS) // 2]

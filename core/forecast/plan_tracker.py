@@ -37,6 +37,8 @@ CUT_SHORT_MARGIN: Final = 900.0
 
 _PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same place
 
+_Step = tuple[int, int, int, int]
+"""What may change a plan: place in the batch, kind, number among those of the kind, lane."""
 GetTables = Callable[[int, int], LegEnergyTables | None]
 """Returns the tables of the vehicle model that the car of a lane had at a place in the batch."""
 LIKE_LEG: Final = 0.3, 0.6
@@ -45,6 +47,20 @@ SAME_LEG: Final = 0.1, 0.25
 """The same for a later leg. [1]"""
 MOST_SKIPPED: Final = 2
 """Largest number of legs that are left out one after another."""
+
+
+LANE_PLAN: Final = np.dtype(
+    [
+        ("ride_km", "f8"),  # distance of the ride in progress [km]
+        ("arrived", "f8"),  # when the car came to charge last [s]
+        ("departed", "f8"),  # when the last charge ended after which it departed [s]
+        ("planned", "f8"),  # charge that was planned as it came, NaN without a planned charge [1]
+        ("riding", "?"),
+    ]
+)
+"""What the tracker remembers of each lane beside its plan."""
+_KEPT: Final = "ride_km", "riding", "arrived", "departed", "planned"
+"""Fields of it in a state."""
 
 
 class PlanArrival(NamedTuple):
@@ -68,10 +84,9 @@ class ActivePlan(NamedTuple):
 
     Parameters
     ----------
-    driven_km : float
-        Distance that the ride in progress had driven when the plan arrived. [km]
-    legs : PlannedLegs, optional
-        With their energies, once these are known.
+    done, charged : Number of rides and of charges that are done.
+    driven_km : Distance that the ride in progress had driven when the plan arrived. [km]
+    legs : The legs with their energies, once these are known.
     """
 
     plan: Plan
@@ -104,43 +119,22 @@ class ActivePlan(NamedTuple):
         return time > self.plan.shift_end_s + (0.0 if done else OVERTIME)
 
 
-class _Step(NamedTuple):
-    """Hold what may change a plan: place in the batch, kind, number among those of the kind, lane."""
-
-    at: int
-    kind: int
-    number: int
-    lane: int
-
-
-class ChargeOutcome(NamedTuple):
-    """Hold the charge that a planned charging was to lead to, and the one with which the car departed. [1]"""
-
-    planned: float
-    reached: float
-
-
 class PlanTracker:
     """Track the plan of each lane, and what it says about the rest of the shift.
 
     Attributes
     ----------
     progress : (lanes,) PLAN_PROGRESS
-    outcomes : list of ChargeOutcome
-        Of planned charges since they were taken, in order.
+    outcomes : list of (float, float)
+        Charges that planned chargings of the last batch were to lead to, and those with which the cars departed. [1]
     """
 
     def __init__(self) -> None:
         self.progress = np.zeros(0, PLAN_PROGRESS)
         self.plans: dict[int, ActivePlan] = {}
         self.later: dict[int, Plan] = {}
-        self.outcomes: list[ChargeOutcome] = []
-        self._ride_km = np.zeros(0)
-        self._arrived = np.zeros(0)  # when each car came to charge last [s]
-        self._departed = np.zeros(0)  # when the last charge ended after which it departed [s]
-        self._planned = np.zeros(0)  # charge that was planned as it came, NaN without a planned charge [1]
-        self._riding = np.zeros(0, np.bool_)
-        self._waiting = np.zeros(0, np.bool_)  # lanes of `later`
+        self.outcomes: list[tuple[float, float]] = []
+        self._lanes = np.zeros(0, LANE_PLAN)
 
     def process(
         self,
@@ -151,24 +145,16 @@ class PlanTracker:
         get_tables: GetTables,
         lanes: int,
     ) -> NDArray[np.void]:
-        """Process arrived plans, and ended rides and charges; return the progress at each row of running totals.
-
-        Parameters
-        ----------
-        get_tables : callable
-            Returns the tables of the vehicle model that the car of a lane had at a place in the batch.
-        """
-        self.progress, self._ride_km = grown(self.progress, lanes), grown(self._ride_km, lanes)
-        self._riding, self._waiting = grown(self._riding, lanes), grown(self._waiting, lanes)
-        self._arrived, self._departed = grown(self._arrived, lanes), grown(self._departed, lanes)
-        self._planned = grown(self._planned, lanes)
+        """Process arrived plans, and ended rides and charges; return the progress at each row of running totals."""
+        self.progress, self._lanes = grown(self.progress, lanes), grown(self._lanes, lanes)
+        self.outcomes = []
         out = self.progress.take(running.lane)  # `take` and `put` copy records ten times as fast as an index
         km, time = get_ride_km(running), running.at_last("time")
         ended_km, ended_s = rides.amount("distance") * 1e-3, rides.amount("duration")
         ended_time = rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
-        charged = estimates["arrived"] > self._arrived[running.lane]
-        charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
+        charged = estimates["arrived"] > self._lanes["arrived"][running.lane]
+        charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._lanes["departed"][running.lane])
         rows_of_lanes = RowsOfLanes(running.lane)
         steps = self._list_steps(running, rides, arrivals, charged)
         while steps:
@@ -183,17 +169,17 @@ class PlanTracker:
                 self._end_ride(lane, float(ended_km[i]), float(ended_s[i]), float(ended_time[i]))
             elif kind == _PLAN_CAME or begins:
                 rides_on = before > 0 and not over[rows[before - 1]]
-                driven = float(km[rows[before - 1]] if rides_on else self._ride_km[lane])
+                driven = float(km[rows[before - 1]] if rides_on else self._lanes["ride_km"][lane])
                 plan = self.later[lane] if kind == _ROW else arrivals[i].plan
-                waited = bool(self._waiting[lane])
+                waited = lane in self.later
                 self._add_plan(lane, plan, float(time[i]) if kind == _ROW else plan.time_s, driven)
-                if self._waiting[lane] and not waited:
+                if lane in self.later and not waited:
                     for row in rows[before:].tolist():
-                        heappush(steps, _Step(int(running.at[row]), _ROW, row, lane))
+                        heappush(steps, (int(running.at[row]), _ROW, row, lane))
             self.progress[lane] = self._compute_progress(lane, get_tables(lane, at))
             out.put(rows[before:], self.progress[lane : lane + 1])
         now = running.lane[~over]
-        self._ride_km[now], self._riding[now] = km[~over], running.ride[~over] >= 0
+        self._lanes["ride_km"][now], self._lanes["riding"][now] = km[~over], running.ride[~over] >= 0
         return out
 
     def renew_energies(self, time: float, get_tables: Callable[[int], LegEnergyTables | None]) -> None:
@@ -208,37 +194,32 @@ class PlanTracker:
     ) -> PlannedLegs | None:
         """Return what is left of a plan, with the leg in progress shortened; None where there is no plan.
 
-        Parameters
-        ----------
-        given : Plan, optional
-            A plan to use instead of the one in force, as if it arrived now.
+        A given plan is used instead of the one in force, as if it arrived now.
         """
+        active = self.plans.get(lane)
         if given is not None:
             given = msgspec.structs.replace(given, time_s=time)
-            active = ActivePlan(given, 0, float(self._ride_km[lane]), compute_planned_legs(given, tables))
-        else:
-            kept = self.plans.get(lane)
-            if kept is None or not is_plan_current(kept.plan.time_s, kept.plan.shift_end_s, time):
-                return None
-            active = kept
-        driven = float(self._ride_km[lane]) - active.driven_km
+            active = ActivePlan(given, 0, float(self._lanes["ride_km"][lane]), compute_planned_legs(given, tables))
+        elif active is None or not is_plan_current(active.plan.time_s, active.plan.shift_end_s, time):
+            return None
+        driven = float(self._lanes["ride_km"][lane]) - active.driven_km
         left = (active.legs or compute_planned_legs(active.plan, None)).drop_done(active.done, active.charged)
-        return left.shorten(driven) if self._riding[lane] else left
+        return left.shorten(driven) if self._lanes["riding"][lane] else left
 
     def is_riding(self, lane: int) -> bool:
         """Return whether a lane's car is on a ride."""
-        return bool(self._riding[lane])
+        return bool(self._lanes["riding"][lane])
 
     def _list_steps(
         self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], charged: NDArray[np.bool_]
     ) -> list[_Step]:
         """Return in order what may change plans; rows only of lanes whose plan waits, or that have charged."""
-        steps = [_Step(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
+        steps = [(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
         ends = zip(rides.at.tolist(), rides.lane.tolist(), strict=True)
-        steps += [_Step(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
-        rows = np.flatnonzero(self._waiting[running.lane] | charged)
+        steps += [(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
+        rows = np.flatnonzero(np.isin(running.lane, list(self.later)) | charged)
         waiting = zip(running.at[rows].tolist(), rows.tolist(), running.lane[rows].tolist(), strict=True)
-        return sorted([*steps, *(_Step(at, _ROW, i, lane) for at, i, lane in waiting)])
+        return sorted([*steps, *((at, _ROW, i, lane) for at, i, lane in waiting)])
 
     def _add_plan(self, lane: int, plan: Plan, time: float, driven_km: float) -> None:
         """Put a plan in force, or let it wait in place of another one of a later shift."""
@@ -248,7 +229,6 @@ class PlanTracker:
             self.plans[lane] = ActivePlan(plan, 0, driven_km)
             if lane in self.later and self.later[lane].shift_end_s <= plan.shift_end_s + PROLONGATION:
                 del self.later[lane]  # an older plan of the same shift
-        self._waiting[lane] = lane in self.later
 
     def _begins_later_shift(self, lane: int, time: float) -> bool:
         """Return whether the waiting plan of a later shift is in force from now on."""
@@ -265,7 +245,7 @@ class PlanTracker:
 
     def _end_ride(self, lane: int, km: float, seconds: float, time: float) -> None:
         """Count a leg as done when its ride has ended, unless the plan was sent as the ride ended."""
-        self._ride_km[lane], self._riding[lane] = 0.0, False
+        self._lanes["ride_km"][lane], self._lanes["riding"][lane] = 0.0, False
         active = self.plans.get(lane)
         if active is not None:
             is_done = km >= SHORTEST_RIDE and time - active.plan.time_s >= PLAN_LAG
@@ -279,22 +259,17 @@ class PlanTracker:
         """
         active, arrived, unplugged = self.plans.get(lane), float(estimate["arrived"]), float(estimate["unplugged"])
         left = [] if active is None else active.list_charges()
-        if arrived > self._arrived[lane]:
-            self._arrived[lane], self._planned[lane] = arrived, left[0] if left else np.nan
-        if not (unplugged > self._departed[lane] and estimate["departed"] == 1.0):
+        if arrived > self._lanes["arrived"][lane]:
+            self._lanes["arrived"][lane], self._lanes["planned"][lane] = arrived, left[0] if left else np.nan
+        if not (unplugged > self._lanes["departed"][lane] and estimate["departed"] == 1.0):
             return False
-        self._departed[lane] = unplugged
-        if np.isfinite(self._planned[lane]):
-            self.outcomes.append(ChargeOutcome(float(self._planned[lane]), float(estimate["charged_soc"])))
+        self._lanes["departed"][lane] = unplugged
+        if np.isfinite(self._lanes["planned"][lane]):
+            self.outcomes.append((float(self._lanes["planned"][lane]), float(estimate["charged_soc"])))
         if active is None or not left or unplugged - active.plan.time_s < PLAN_LAG:
             return False
         self.plans[lane] = active._replace(charged=active.charged + 1)
         return True
-
-    def take_outcomes(self) -> list[ChargeOutcome]:
-        """Return and drop the outcomes of planned charges, in order."""
-        taken, self.outcomes = self.outcomes, []
-        return taken
 
     def _compute_progress(self, lane: int, tables: LegEnergyTables | None) -> NDArray[np.void]:
         """Return the progress of a lane's plan; an empty one without a plan or without tables of the car."""
@@ -308,10 +283,7 @@ class PlanTracker:
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self.plans, self.later = take_keys(self.plans, lanes), take_keys(self.later, lanes)
-        self.progress, self._ride_km = take_lanes(self.progress, lanes), take_lanes(self._ride_km, lanes)
-        self._riding, self._waiting = take_lanes(self._riding, lanes), take_lanes(self._waiting, lanes)
-        self._arrived, self._departed = take_lanes(self._arrived, lanes), take_lanes(self._departed, lanes)
-        self._planned = take_lanes(self._planned, lanes)
+        self.progress, self._lanes = take_lanes(self.progress, lanes), take_lanes(self._lanes, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
@@ -319,17 +291,16 @@ class PlanTracker:
             (lane, plan, done, driven_km, legs and (legs.energy.tobytes(), legs.begun_energy.tobytes()), charged)
             for lane, (plan, done, driven_km, legs, charged) in self.plans.items()
         ]
-        progress, riding = self.progress.tobytes(), self._riding.tolist()
-        charges = [each.tolist() for each in (self._arrived, self._departed, self._planned)]
-        return plans, list(self.later.items()), progress, self._ride_km.tolist(), riding, charges
+        ride_km, riding, *charges = (self._lanes[name].tolist() for name in _KEPT)
+        return plans, list(self.later.items()), self.progress.tobytes(), ride_km, riding, charges
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        plans, later, progress, driven, riding, charges = state
+        plans, later, progress, ride_km, riding, charges = state
         self.progress = np.frombuffer(progress, PLAN_PROGRESS).copy()
-        self._ride_km = np.array(driven, dtype=np.float64)
-        self._riding = np.array(riding, dtype=np.bool_)
-        self._arrived, self._departed, self._planned = (np.array(each, dtype=np.float64) for each in charges)
+        self._lanes = np.zeros(len(ride_km), LANE_PLAN)
+        for name, values in zip(_KEPT, (ride_km, riding, *charges), strict=True):
+            self._lanes[name] = values
         self.plans = {}
         for lane, raw, done, driven_km, energies, charged in plans:
             plan = msgspec.convert(raw, Plan)
@@ -337,7 +308,6 @@ class PlanTracker:
             legs = energies and PlannedLegs.create(plan, *arrays)
             self.plans[int(lane)] = ActivePlan(plan, done, driven_km, legs, charged)
         self.later = {int(lane): msgspec.convert(raw, Plan) for lane, raw in later}
-        self._waiting = np.isin(np.arange(len(self._riding)), list(self.later))
 
 
 def _differ_by(planned: float, driven: float) -> float:

@@ -50,14 +50,9 @@ class PlannedLegs(NamedTuple):
 
     Parameters
     ----------
-    energy : (legs, temperatures) float
-        [kWh]
-    begun_energy : (legs, temperatures) float
-        Energy of each leg once it has begun. [kWh]
-    km, seconds : (legs,) float
-        Distance [km] and duration [s]. A charge has no distance and takes no energy.
-    charge_to : (legs,) float
-        Charge after a charge, NaN of rides. [1]
+    energy, begun_energy : Energy of each leg, and once it has begun, (legs, temperatures) float. [kWh]
+    km, seconds : Distance [km] and duration [s], (legs,) float. A charge has no distance and takes no energy.
+    charge_to : Charge after a charge, NaN of rides, (legs,) float. [1]
     """
 
     plan: Plan
@@ -70,7 +65,8 @@ class PlannedLegs(NamedTuple):
     @classmethod
     def create(cls, plan: Plan, energy: Floats, begun_energy: Floats) -> "PlannedLegs":
         """Return the legs of a plan that take these energies."""
-        rows = [(leg.distance_km or 0.0, leg.duration_s, _get_charge(leg)) for leg in plan.legs]
+        charges = (nan if leg.charge_to_soc_pct is None else leg.charge_to_soc_pct / 100.0 for leg in plan.legs)
+        rows = [(leg.distance_km or 0.0, leg.duration_s, to) for leg, to in zip(plan.legs, charges, strict=True)]
         km, seconds, charge_to = np.array(rows, np.float64).reshape(-1, 3).T.copy()
         shape = len(rows), _KNOTS  # a forged state may have fewer, and a kernel would read beyond them
         return cls(plan, energy.reshape(shape), begun_energy.reshape(shape), km, seconds, charge_to)
@@ -87,21 +83,22 @@ class PlannedLegs(NamedTuple):
 
     def shorten(self, driven_km: float) -> "PlannedLegs":
         """Return the same legs where the first one is a ride of which a distance has been driven. [km]"""
-        legs, energy, begun = self.plan.legs, self.energy.copy(), self.begun_energy.copy()
-        if legs and legs[0].distance_km is not None:
-            share = float(compute_share_left(np.array([legs[0].distance_km]), np.array([driven_km]))[0])
-            legs = [_take_share(legs[0], share), *legs[1:]]
-            energy[0] = begun[0] = share * begun[0]
-        return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
+        if not self.plan.legs or self.plan.legs[0].distance_km is None:
+            return self
+        shares, energy = np.ones(len(self.km)), self.energy.copy()
+        energy[0], shares[:1] = self.begun_energy[0], compute_share_left(self.km[:1], np.array([driven_km]))
+        return self._replace(energy=energy).scale(shares)
 
     def keep_share(self, share: float, first: int) -> "PlannedLegs":
         """Return the same legs, where a share of those from an index on is left."""
-        if share == 1.0:
-            return self
-        shares = np.where(np.arange(len(self.km)) < first, 1.0, share)
-        legs = [_take_share(leg, part) for leg, part in zip(self.plan.legs, shares.tolist(), strict=True)]
-        scaled = (shares[:, np.newaxis] * each for each in (self.energy, self.begun_energy))
-        return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), *scaled)
+        return self if share == 1.0 else self.scale(np.where(np.arange(len(self.km)) < first, 1.0, share))
+
+    def scale(self, shares: Floats) -> "PlannedLegs":
+        """Return a share of each leg."""
+        scaled = zip(self.plan.legs, shares.tolist(), strict=True)
+        legs = [leg if share == 1.0 else _take_share(leg, share) for leg, share in scaled]
+        energy, begun = (shares[:, np.newaxis] * each for each in (self.energy, self.begun_energy))
+        return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
 
     def insert(self, place: int, inserted: "PlannedLegs") -> "PlannedLegs":
         """Return these legs with those of another plan inserted before the leg at an index."""
@@ -198,11 +195,6 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
 def _take_share(leg: Leg, share: float) -> Leg:
     """Return a share of a ride."""
     return Leg(**{name: value and share * value for name, value in msgspec.structs.asdict(leg).items()})
-
-
-def _get_charge(leg: Leg) -> float:
-    """Return the charge after a charge, NaN for a ride. [1]"""
-    return nan if leg.charge_to_soc_pct is None else leg.charge_to_soc_pct / 100.0
 
 
 def compute_share_left(leg_km: Floats, driven_km: Floats) -> Floats:

@@ -17,13 +17,14 @@ from collections import Counter
 from math import isfinite
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 from msgspec import UNSET
+from msgspec.structs import replace
 
 from socast.core.batch import Floats, replace_nan
 from socast.core.columns import KMH
-from socast.core.forecast.forecast_rows import INTERVALS, NEWEST_FORECAST, ForecastRows
+from socast.core.forecast.forecast_rows import INTERVALS, NEWEST_COLUMNS, Rows
+from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.measured_energy import LARGEST_BATTERY, compute_largest_energy
 from socast.core.vehicles.catalogue import RATED
@@ -42,35 +43,29 @@ JUMP: Final = 100_000.0
 """Distance that a ride may add to that at `FASTEST`: by tunnels and by odometers after gaps. [m]"""
 
 
-def find_implausible(
-    running: Totals, rows: ForecastRows, predicted: Floats, measured: Floats, cars: Cars
-) -> list[str | None]:
+def find_implausible(running: Totals, rows: Rows, predicted: Floats, measured: Floats, cars: Cars) -> list[str | None]:
     """Return why each forecast is not plausible.
 
-    Parameters
-    ----------
-    predicted, measured : (n,) float
-        Energy of the ride in progress, NaN where unknown. [kWh]
+    Units: predicted [kWh] and measured [kWh] of the ride in progress, NaN where unknown.
     """
-    kind = running.at_last("kind").astype(np.int64)
+    kind = running.kinds
     capacity = replace_nan(cars.capacity[kind], LARGEST_BATTERY)
     distance, duration = running.amount("distance"), running.amount("duration")
     most_kwh = compute_largest_energy(running, cars)
     most_km = capacity / RATED[0]
-    columns = rows._asdict()
-    intervals = [tuple(map(columns.__getitem__, names)) for names in INTERVALS]
-    published = [predicted, measured, *(columns[name] for name in NEWEST_FORECAST.names or ())]
+    intervals = [tuple(map(rows.__getitem__, names)) for names in INTERVALS]
+    published = [predicted, measured, *(rows[name] for name in NEWEST_COLUMNS)]
     faults = {
         "not_finite": np.any(np.isinf(published), axis=0),
         "ride": ~((distance >= 0.0) & (duration >= 0.0) & (distance <= FASTEST * duration + JUMP)),
-        "soc": (rows.soc < 0.0) | (rows.soc > 1.0) | (rows.soc_sd > 1.0),
+        "soc": (rows["soc"] < 0.0) | (rows["soc"] > 1.0) | (rows["soc_sd"] > 1.0),
         "ride_energy": (np.abs(predicted) > most_kwh) | (np.abs(measured) > most_kwh),
-        "range": (rows.range_km_p05 < 0.0) | (rows.range_km_p95 > most_km),
-        "end_of_shift": (rows.soc_end_of_shift_p05 < 0.0)
-        | (rows.soc_end_of_shift_p95 > 1.0)
-        | ((rows.charge_soc_p05 < 0.0) | (rows.charge_soc_p95 > 1.0)),
+        "range": (rows["range_km_p05"] < 0.0) | (rows["range_km_p95"] > most_km),
+        "end_of_shift": (rows["soc_end_of_shift_p05"] < 0.0)
+        | (rows["soc_end_of_shift_p95"] > 1.0)
+        | ((rows["charge_soc_p05"] < 0.0) | (rows["charge_soc_p95"] > 1.0)),
         "interval_order": np.any([(low > mean) | (mean > high) for mean, low, high in intervals], axis=0),
-        "reserve_risk": (rows.reserve_risk < 0.0) | (rows.reserve_risk > 1.0),
+        "reserve_risk": (rows["reserve_risk"] < 0.0) | (rows["reserve_risk"] > 1.0),
     }
     names, found = list(faults), np.array(list(faults.values()))
     if not found.any():
@@ -80,13 +75,7 @@ def find_implausible(
 
 
 def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook:
-    """Return an answer without its energies and charges ahead where these are not plausible.
-
-    Returns
-    -------
-    Outlook
-        The given one where it is plausible; else one whose field `why_not` names the cause.
-    """
+    """Return an answer without energies and charges ahead that are not plausible; its `why_not` names the cause."""
     legs = [*outlook.legs, *([outlook.asked] if outlook.asked else [])]
     charges = [outlook.soc_end_of_shift_pct, *(leg.soc_pct for leg in legs)]
     if outlook.next_charge:
@@ -102,17 +91,26 @@ def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook
     if cause is None:
         return outlook
     implausible[cause] += 1
-    asked, *rest = (
-        leg and msgspec.structs.replace(leg, energy_kwh=None, soc_pct=None) for leg in (outlook.asked, *outlook.legs)
-    )
-    unknown: dict[str, Any] = {
-        "soc_end_of_shift_pct": None,
-        "reserve_risk": None,
-        "next_charge": UNSET,
-        "waiting_energy_kwh": None,
-    }
     why = f"what this car and its vehicle model have sent leads to a forecast that is not plausible ({cause})"
-    return msgspec.structs.replace(outlook, asked=asked, legs=rest, why_not=why, **unknown)
+    return _withhold(outlook, why, {"energy_kwh": None})
+
+
+def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
+    """Return an outlook without charges if the car has been silent for so long that its shift is over.
+
+    The car may have driven on or charged meanwhile, so no charge is published. The energies of rides remain.
+    """
+    if silent_s <= SHIFT_GAP:
+        return outlook
+    why = f"the car has been silent for {silent_s / 3600.0:.1f} h while other cars sent data, so its shift is over"
+    return _withhold(outlook, why, {"reserve_risk": UNSET}, shift_end_s=None)
+
+
+def _withhold(outlook: Outlook, why: str, of_legs: dict[str, Any], **also: None) -> Outlook:
+    """Return an outlook without charges, and with these changes of it and of its legs."""
+    asked, *legs = (leg and replace(leg, soc_pct=None, **of_legs) for leg in (outlook.asked, *outlook.legs))
+    unknown: dict[str, Any] = dict.fromkeys(("soc_end_of_shift_pct", "reserve_risk", "waiting_energy_kwh"))
+    return replace(outlook, asked=asked, legs=legs, why_not=why, next_charge=UNSET, **unknown, **also)
 
 
 def _is_energy_plausible(leg: LegOutlook) -> bool:

@@ -37,11 +37,8 @@ class SilentCars:
     def begin_day(self, midnight: float, since: float, needed: Ints) -> Ints | None:
         """Begin a day, and return the lanes that are kept; None if all are.
 
-        Parameters
-        ----------
-        since : float
-            Lanes of which nothing was heard since then are not kept, unless they are needed or among the newest samples
-            of the fleet. [Unix s]
+        Not kept are those of which nothing was heard since a time [Unix s], unless they are needed or among the newest
+        samples of the fleet.
         """
         self._day[np.isinf(self._day)] = midnight
         self._now = midnight
@@ -73,12 +70,9 @@ class RestOfBatch(NamedTuple):
 
     Parameters
     ----------
-    events : list of Event
-        Messages between the rows of the batch.
-    first : int
-        Number of the first event of the rest.
-    midnight : float
-        Midnight at which the day ends that the update begins. [Unix s]
+    events : Messages between the rows of the batch.
+    first : Number of the first event of the rest.
+    midnight : Midnight at which the day ends that the update begins. [Unix s]
     """
 
     batch: Batch
@@ -100,6 +94,16 @@ class RestOfBatch(NamedTuple):
         is_new = ~np.isin(later, kept)
         return later[is_new][np.argsort(first[is_new])]
 
+    def forget_lanes(self, kept: Ints, lanes: Lanes, day_rollover: DayRollover, components: Sequence[OfLanes]) -> None:
+        """Forget all lanes but some, and number them anew: the kept ones, then those that the rest brings."""
+        later = self.find_later(kept)
+        for component in components:
+            component.keep(kept)
+        day_rollover.keep(kept, later)
+        left = np.concatenate([kept, later])
+        lanes.keep(left)
+        self.renumber(left)
+
     def renumber(self, lanes: Ints) -> None:
         """Give the lanes of the rest, which are among the given ones, their numbers in the given order, in place."""
         number = np.full(int(lanes.max(initial=-1)) + 2, -1)  # the last one stands for no lane, -1
@@ -107,19 +111,3 @@ class RestOfBatch(NamedTuple):
         self.batch.lane[self.row :] = number[self.batch.lane[self.row :]]
         left = self.events[self.first :]
         self.events[self.first :] = [event._replace(lane=int(number[event.lane])) for event in left]
-
-
-def forget_lanes(
-    kept: Ints,
-    rest: RestOfBatch,
-    lanes: Lanes,
-    day_rollover: DayRollover,
-    components: Sequence[OfLanes],
-) -> None:
-    """Forget all lanes but some, and number them anew: the kept ones, then those that the rest of the batch brings."""
-    later = rest.find_later(kept)
-    for component in components:
-        component.keep(kept)
-    lanes.keep(np.concatenate([kept, later]))
-    day_rollover.keep(kept, later)
-    rest.renumber(np.concatenate([kept, later]))

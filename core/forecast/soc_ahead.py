@@ -7,7 +7,7 @@ that of the rides and waits after the last planned charge. What happens between 
 the last one decides what follows.
 """
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints
 from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE, ConformalIntervals
 from socast.core.forecast.learning.charged_soc import ChargedSoc
+from socast.core.forecast.learning.fleet import FleetStatistics
 from socast.core.forecast.outlook import (
     FACTOR_DECAY_TIME,
     CarEstimate,
@@ -24,9 +25,17 @@ from socast.core.forecast.outlook import (
     UsualConsumption,
     compute_end_soc,
     compute_reserve_risk,
+    compute_temperature_weights,
 )
 from socast.core.forecast.plan_tracker import PLAN_LAG
 from socast.core.forecast.soc_filter import CONSUMPTION_WANDER
+from socast.core.vehicles.fleet import Cars
+
+EMPTY_SOC: Final = 0.05
+"""Charge that a display may still show when the battery is empty, and the least upper bound of a forecast. [1]
+
+Estimated: in the cold, and with aged cells, the voltage ends a drive before the display reaches 0 %."""
+_Columns = TypeVar("_Columns", CarEstimate, PlanTimes, UsualConsumption)
 
 
 class SocForecast(NamedTuple):
@@ -49,10 +58,56 @@ class SocForecast(NamedTuple):
     energy_km: Floats
 
 
-EMPTY_SOC: Final = 0.05
-"""Charge that a display may still show when the battery is empty, and the least upper bound of a forecast. [1]
+class CarsNow(NamedTuple):
+    """Hold what is known of n cars, and what the fleet has learned.
 
-Estimated: in the cold, and with aged cells, the voltage ends a drive before the display reaches 0 %."""
+    Parameters
+    ----------
+    time : (n,) float. Time of the newest sample. [s]
+    filtered : (n,) SOC_ESTIMATE.
+    estimate : The same, with the capacities of the cars.
+    usual : Usual consumption at the temperature ahead.
+    patterns : (n,) SHIFT_PATTERN.
+    """
+
+    time: Floats
+    filtered: NDArray[np.void]
+    estimate: CarEstimate
+    usual: UsualConsumption
+    patterns: NDArray[np.void]
+    conformal: ConformalIntervals
+    charged_soc: ChargedSoc
+
+    @classmethod
+    def create(
+        cls,
+        lanes: Ints,
+        kinds: Ints,
+        time: Floats,
+        filtered: NDArray[np.void],
+        ambient: Floats,
+        statistics: FleetStatistics,
+        cars: Cars,
+    ) -> "CarsNow":
+        """Return what is known of cars, where `ambient` is the outside temperature of the time ahead. [K]"""
+        weights = compute_temperature_weights(ambient)
+        usual = statistics.compute_usual(kinds, weights, time - filtered["begin"])
+        estimate, patterns = CarEstimate.from_filter(filtered, cars.capacity[kinds]), statistics.get_patterns(lanes)
+        return cls(time, filtered, estimate, usual, patterns, statistics.conformal, statistics.charged_soc)
+
+    def forecast_soc(
+        self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: Ints, reserve: Floats, most: Floats
+    ) -> SocForecast:
+        """Return the charge after energies, from an estimate on; it is at most `most`.
+
+        Units: energy [kWh], hours [h].
+        """
+        raw = compute_end_soc(begin, energy, hours)
+        energy_km = energy.mean / self.usual.energy_per_km
+        quantiles, bounds = self.conformal.get_quantiles(basis, energy_km)
+        mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
+        high = np.minimum(np.maximum(high, EMPTY_SOC), most)
+        return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)
 
 
 class SocAhead(NamedTuple):
@@ -60,16 +115,11 @@ class SocAhead(NamedTuple):
 
     Parameters
     ----------
-    end : SocForecast
-        Its risk is that of falling below the reserve at any time before.
-    charge : SocForecast
-        NaN of cars without a planned charge, and at the charger.
-    charge_time : (n,) float
-        When the next planned charge begins. [s]
-    basis : (n,) int
-        Of `end`: `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`.
-    charged : CarEstimate or None
-        Estimates after the last planned charge, of those cars that have one.
+    end : At the end; its risk is that of falling below the reserve at any time before.
+    charge : At the next charge; NaN of cars without a planned charge, and at the charger.
+    charge_time : When the next planned charge begins, (n,) float. [s]
+    basis : Basis of `end`, (n,) int: `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`.
+    charged : Estimates after the last planned charge, of those cars that have one.
     """
 
     end: SocForecast
@@ -88,86 +138,47 @@ def find_charging_since(estimates: NDArray[np.void], plan_came: Floats) -> Float
     return np.where((estimates["departed"] == 1.0) | follows, np.nan, estimates["arrived"])
 
 
-def forecast_soc(
-    estimate: CarEstimate,
-    energy: MeanAndSd,
-    hours: Floats,
-    basis: Ints,
-    usual: UsualConsumption,
-    conformal: ConformalIntervals,
-    reserve: Floats,
-    most: Floats,
-) -> SocForecast:
-    """Return the charge after an energy.
-
-    Units: energy [kWh], hours [h].
-    """
-    raw = compute_end_soc(estimate, energy, hours)
-    energy_km = energy.mean / usual.energy_per_km
-    quantiles, bounds = conformal.get_quantiles(basis, energy_km)
-    mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
-    high = np.minimum(np.maximum(high, EMPTY_SOC), most)
-    return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)
-
-
-def forecast_soc_ahead(
-    estimate: CarEstimate,
-    ahead: EnergyAhead,
-    progress: NDArray[np.void],
-    times: PlanTimes,
-    time: Floats,
-    charging_since: Floats,
-    usual: UsualConsumption,
-    conformal: ConformalIntervals,
-    charged_soc: ChargedSoc,
-) -> SocAhead:
+def forecast_soc_ahead(now: CarsNow, ahead: EnergyAhead, progress: NDArray[np.void], times: PlanTimes) -> SocAhead:
     """Return the forecasts for the end of the shift and for the next planned charge."""
-    energy = MeanAndSd(ahead.energy, ahead.sd)
-    first = forecast_soc(estimate, energy, ahead.hours, ahead.basis, usual, conformal, ahead.reserve, estimate.soc)
-    unknown = np.full(len(time), np.nan)
-    rows = np.flatnonzero(ahead.basis == TO_CHARGE)
+    energy, present = MeanAndSd(ahead.energy, ahead.sd), now.estimate.soc
+    first = now.forecast_soc(now.estimate, energy, ahead.hours, ahead.basis, ahead.reserve, present)
+    to_charge = ahead.basis == TO_CHARGE
+    awaits = to_charge & np.isnan(find_charging_since(now.filtered, progress["came"]))
+    charge = SocForecast(*(np.where(awaits, each, np.nan) for each in first))
+    charge_time = np.where(awaits, now.time + 3600.0 * ahead.hours, np.nan)
+    rows = np.flatnonzero(to_charge)
     if not len(rows):
-        return SocAhead(first, SocForecast(*(unknown for _ in first)), unknown, ahead.basis)
-    times, usual = PlanTimes(*(each[rows] for each in times)), UsualConsumption(*(each[rows] for each in usual))
-    progress, arrival = progress.take(rows), MeanAndSd(first.raw_mean[rows], first.raw_sd[rows])
-    hours = (times.end - time[rows]) / 3600.0 - times.after
-    estimate = CarEstimate(*(each[rows] for each in estimate))
-    charged = estimate_after_charge(estimate, progress["charge_to"], hours, charged_soc)
-    higher = (arrival.mean > charged.soc) & (progress["charges"] == 1.0)
+        return SocAhead(first, charge, charge_time, ahead.basis)
+    time, risk = now.time[rows], first.risk[rows]
+    now = now._replace(usual=_take_rows(now.usual, rows), estimate=_take_rows(now.estimate, rows))
+    times, progress = _take_rows(times, rows), progress.take(rows)
+    hours = (times.end - time) / 3600.0 - times.after
+    charged = estimate_after_charge(now.estimate, progress["charge_to"], hours, now.charged_soc)
+    arrival, sd = first.raw_mean[rows], first.raw_sd[rows]
+    higher = (arrival > charged.soc) & (progress["charges"] == 1.0)
     charged = charged._replace(
-        soc=np.where(higher, arrival.mean, charged.soc), variance=np.where(higher, arrival.sd**2, charged.variance)
+        soc=np.where(higher, arrival, charged.soc), variance=np.where(higher, sd**2, charged.variance)
     )
-    last = forecast_soc(
-        charged,
-        compute_energy_after_charges(progress, times, usual),
-        times.after,
-        np.full(len(rows), OVER_CHARGE),
-        usual,
-        conformal,
-        ahead.reserve[rows],
-        np.ones(len(rows)),
-    )
-    last = last._replace(risk=1.0 - (1.0 - first.risk[rows]) * (1.0 - last.risk))
+    energy, basis = compute_energy_after_charges(progress, times, now.usual), np.full(len(rows), OVER_CHARGE)
+    last = now.forecast_soc(charged, energy, times.after, basis, ahead.reserve[rows], np.ones(len(rows)))
+    last = last._replace(risk=1.0 - (1.0 - risk) * (1.0 - last.risk))
     end = SocForecast(*(whole.copy() for whole in first))
     for whole, part in zip(end, last, strict=True):
         whole[rows] = part
-    awaits = (ahead.basis == TO_CHARGE) & np.isnan(charging_since)
-    charge = SocForecast(*(np.where(awaits, each, np.nan) for each in first))
-    charge_time = np.where(awaits, time + 3600.0 * ahead.hours, np.nan)
-    return SocAhead(end, charge, charge_time, np.where(ahead.basis == TO_CHARGE, OVER_CHARGE, ahead.basis), charged)
+    return SocAhead(end, charge, charge_time, np.where(to_charge, OVER_CHARGE, ahead.basis), charged)
+
+
+def _take_rows(columns: _Columns, rows: Ints) -> _Columns:
+    """Return some rows of columns."""
+    return type(columns)(*(each[rows] for each in columns))
 
 
 def estimate_after_charge(
     estimate: CarEstimate, charge_to: Floats, hours: Floats, charged_soc: ChargedSoc
 ) -> CarEstimate:
-    """Return the estimate of cars that have charged as planned.
+    """Return the estimate of cars that have charged as planned, some hours from now. [h]
 
-    Units: hours [h].
-
-    Returns
-    -------
-    CarEstimate
-        Its charge is independent of the consumption, which returns to the usual meanwhile and keeps wandering.
+    The charge is then independent of the consumption, which returns to the usual meanwhile and keeps wandering.
     """
     soc, variance = charged_soc.expect(charge_to)
     decay = np.exp(-hours / FACTOR_DECAY_TIME)
@@ -182,6 +193,6 @@ def estimate_after_charge(
 
 def compute_energy_after_charges(progress: NDArray[np.void], times: PlanTimes, usual: UsualConsumption) -> MeanAndSd:
     """Return the energy from the last planned charge to the end of the shift. [kWh]"""
-    driving = np.asarray(np.einsum("ij,ij->i", progress["after_kwh"], usual.weights))
+    driving = usual.weigh(progress["after_kwh"])
     waiting = times.waiting_after * usual.standing_power + progress["after_legs"] * usual.approach_energy
     return usual.expect_plan(np.column_stack([driving, waiting]))

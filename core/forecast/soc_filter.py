@@ -30,8 +30,7 @@ from typing import Any, Final
 from numba import njit
 
 from socast.core.compiled_cache import watch_sources
-from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_reading
-from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
+from socast.core.forecast import filter_state, kalman_update, soc_reading
 from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
 from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
 from socast.core.forecast.learning import consumption_terms
@@ -84,6 +83,12 @@ A reading corrects an estimate that is a little beyond. A prediction that contin
 lead to -82 %."""
 LARGEST_VARIANCE: Final = 0.25
 """Largest variance of a quantity from 0 to 1; an estimate with a larger one knows nothing."""
+SHORTEST_CHARGE: Final = 60.0
+"""A shorter charging is ignored. [s]"""
+DEPARTURE_DISTANCE: Final = 300.0
+"""Distance from which the consumption of a shift counts, and by which a car departs after a charge. [m]"""
+LEAST_RISE: Final = 0.03
+"""Rise of the reading over a silence from which the car has charged meanwhile. [1]"""
 
 
 @njit(cache=True)
@@ -120,7 +125,8 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.distance = state.ride_distance = state.hours = state.warmth = 0.0
     state.predicted = state.awake_predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
-    forget_charges(state)
+    state.connected = state.arrived = state.arrival_soc = nan
+    state.unplugged = state.unplugged_distance = state.charged_soc = nan
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity, state.curve = state.log_capacity, event.curve
@@ -128,16 +134,6 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.usual, state.usual_variance = prior.mean, prior.variance
     state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
     state.p_sa, state.p_ac = state.p_sc, state.p_cc
-
-
-@njit(cache=False)
-def add_temperature(state: Any, event: Any) -> None:
-    """Add to the prior of a shift what its temperature adds, once it is known: uncertain tables, and less capacity."""
-    state.level_sd = event.level_sd
-    state.usual += event.cold_loss
-    state.log_consumption += event.cold_loss
-    state.usual_variance += event.level_sd**2
-    state.p_aa += event.level_sd**2
 
 
 @njit(cache=False)
@@ -180,7 +176,11 @@ def update_with_totals(state: Any, event: Any) -> None:
     remember_totals(state, event)
     if duration > 0.0:
         if isnan(state.level_sd) and not isnan(event.level_sd):
-            add_temperature(state, event)
+            state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
+            state.usual += event.cold_loss
+            state.log_consumption += event.cold_loss
+            state.usual_variance += event.level_sd**2
+            state.p_aa += event.level_sd**2
         awake = event.time - state.begin
         predicted += event.warm_up * (
             exp(-max(awake - duration, 0.0) / WARM_UP_DECAY) - exp(-max(awake, 0.0) / WARM_UP_DECAY)
@@ -244,19 +244,54 @@ def update_charging(state: Any, event: Any, passed: float) -> bool:
 
 
 @njit(cache=False)
+def update_charge_stop(state: Any, event: Any, was_charging: float, silent: bool, passed: float) -> None:
+    """Update when the car came to charge and left, before the reading of an event applies.
+
+    A charge is one from the first report that the car charges until it has driven on, however often the report is
+    interrupted. Of a car that is silent while it charges, the charge begins when it falls silent, and is known by a
+    reading that has risen.
+    """
+    departed = state.distance - state.unplugged_distance > DEPARTURE_DISTANCE
+    before = event.time - passed if silent else event.time
+    charged = event.time - event.since_charge  # the last time, NaN for never
+    if state.charging == 1.0 and was_charging == 0.0 and (isnan(state.unplugged) or departed):
+        state.connected = before
+    if state.charging == 1.0 or was_charging == 1.0:
+        confirm_charge(state, charged)
+    if state.charging == 0.0 and was_charging == 1.0:
+        end_charge(state, event.time)
+    if state.charging == 0.0 and silent and event.soc - state.last_soc > LEAST_RISE:
+        state.connected = before
+        confirm_charge(state, event.time)
+        end_charge(state, event.time)
+    if not isnan(state.unplugged) and not departed and not isnan(event.soc):
+        state.charged_soc = event.soc
+
+
+@njit(cache=False)
+def confirm_charge(state: Any, time: float) -> None:
+    """Record the present charge once it has lasted; an interrupted one continues."""
+    if state.distance > DEPARTURE_DISTANCE and time - state.connected >= SHORTEST_CHARGE:
+        if state.arrived != state.connected:
+            state.arrived, state.arrival_soc, state.charged_soc = state.connected, state.last_soc, nan
+        state.unplugged = state.unplugged_distance = nan
+
+
+@njit(cache=False)
+def end_charge(state: Any, time: float) -> None:
+    """Record the end of the present charge, if it has lasted."""
+    if state.arrived == state.connected:
+        state.unplugged, state.unplugged_distance = time, state.distance
+
+
+@njit(cache=False)
 def predict_state(
     state: Any, predicted: float, used: float, duration: float, capacity: float, energy_variance: float
 ) -> None:
     """Predict the state at the end of a stretch: the charge falls by the measured or by the predicted energy.
 
-    Units: capacity [kWh].
-
-    Parameters
-    ----------
-    predicted, used : float
-        Predicted and measured energy, NaN where unknown. [kWh]
-    energy_variance : float
-        Variance of the energy of a stretch that takes 1 kWh; it is proportional to the energy. [kWh]
+    Units: predicted [kWh] and used [kWh], NaN where unknown; capacity [kWh]; energy_variance [kWh] of a stretch that
+    takes 1 kWh, to which it is proportional.
     """
     if isnan(capacity) or duration <= 0.0:
         return
@@ -328,8 +363,8 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.curve = state.curve
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
-    out.charged, out.faulty, out.reported = state.charged, find_lasting_fault(state), state.last_soc
-    out.predicted, out.level = state.awake_predicted, state.level
+    out.charged, out.faulty, out.last_soc = state.charged, find_lasting_fault(state), state.last_soc
+    out.awake_predicted, out.level = state.awake_predicted, state.level
     out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
     out.usual = state.usual + lasting * (out.log_factor - state.usual)
@@ -338,5 +373,5 @@ def write_estimate(state: Any, out: Any) -> None:
     out.departed = 1.0 if state.distance - state.unplugged_distance > DEPARTURE_DISTANCE else 0.0
 
 
-watch_sources(filter_events, charge_stops, consumption_terms, filter_state, kalman_update, soc_reading)
-watch_sources(close_shift, charge_stops, consumption_terms, filter_state, kalman_update, soc_reading)
+watch_sources(filter_events, consumption_terms, filter_state, kalman_update, soc_reading)
+watch_sources(close_shift, consumption_terms, filter_state, kalman_update, soc_reading)

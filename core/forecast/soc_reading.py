@@ -55,7 +55,9 @@ def update_with_reading(state: Any, event: Any) -> None:
             state.faulty = event.time
         return
     if isnan(state.soc):
-        initialise_soc(state, event.soc, quantum)
+        state.soc = state.reported = event.soc
+        state.p_ss = quantum * quantum / 12.0 + READING_SD**2
+        state.p_sa = state.p_sc = state.fall = 0.0
         return
     sd = sqrt(state.p_ss + quantum * quantum / 12.0)
     limit = max(REJECTION_SDS * sd, quantum + REJECTION_MARGIN)
@@ -80,14 +82,6 @@ def discard_soc(state: Any) -> None:
     """Discard the estimate of the charge, so that the next reading initialises it."""
     state.soc = state.reported = state.suspect = nan
     state.frozen = state.jump = 0.0
-
-
-@njit(cache=False)
-def initialise_soc(state: Any, reported: float, quantum: float) -> None:
-    """Initialise the estimate of the charge by a reading, with the variance of its quantum."""
-    state.soc = state.reported = reported
-    state.p_ss = quantum * quantum / 12.0 + READING_SD**2
-    state.p_sa = state.p_sc = state.fall = 0.0
 
 
 @njit(cache=False)
@@ -154,9 +148,7 @@ def compute_jump_variance(state: Any) -> float:
 def compute_published_soc(state: Any, quantum: float) -> float:
     """Return the mean of the charge, given that the car's own estimate lies in the reported interval. [1]
 
-    Notes
-    -----
-    The mean of a normal truncated to `reported` plus or minus half a quantum, less what was used since that reading.
+    It is that of a normal truncated to `reported` plus or minus half a quantum, less what was used since that reading.
     Without a trusted reading, or if the next one should have come, it is the mean of the state.
     """
     untrusted = state.frozen == 1.0 or not isnan(state.suspect) or isnan(state.reported) or abs(state.fall) > quantum

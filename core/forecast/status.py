@@ -22,16 +22,11 @@ class VehicleStatus(NamedTuple):
 
     Parameters
     ----------
-    forecast : Forecast
-        The newest forecast, with the ride in progress up to the newest sample.
-    vehicle_model : str or None
-        Key of its vehicle model, None where unknown.
-    soc_pct : float
-        State of charge as the car reports it. [%]
-    shadows_kwh : tuple of float
-        Energy of the ride in progress as each shadow model predicts it. [kWh]
-    is_shift_over : bool
-        Whether the shift is over, see `find_ended_shifts`; the forecast then has no values of the rest of the shift.
+    forecast : The newest forecast, with the ride in progress up to the newest sample.
+    vehicle_model : Key of its vehicle model, None where unknown.
+    soc_pct : State of charge as the car reports it. [%]
+    shadows_kwh : Energy of the ride in progress as each shadow model predicts it. [kWh]
+    is_shift_over : Whether the shift is over, see `find_ended_shifts`; the forecast then has no values of its rest.
     """
 
     forecast: Forecast
@@ -44,12 +39,7 @@ class VehicleStatus(NamedTuple):
 def find_ended_shifts(time: Floats, silence: Floats, end: Floats, riding: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which shifts are over: those of cars long silent, and of cars between rides past overtime, (n,).
 
-    Parameters
-    ----------
-    time, silence : (n,) float
-        Time of the newest sample, and how long the car has been silent. [s]
-    end : (n,) float
-        End of the shift as its newest forecast has it, NaN where unknown. [s]
+    Units: time [s] of the newest sample, silence [s] since, end [s] by the newest forecast, NaN where unknown.
 
     Examples
     --------
@@ -69,16 +59,11 @@ def build_statuses(
 ) -> list[VehicleStatus]:
     """Return one status per row of running totals, sorted by the names of the vehicles.
 
-    Units: predicted [kWh], silence [s].
-
-    Parameters
-    ----------
-    newest : (n,) NEWEST_FORECAST
+    Units: predicted [kWh], silence [s]; `newest` is (n,) NEWEST_FORECAST.
     """
     cars, ride = context.cars, RideSoFar.create(running, predicted[0], context)
-    columns = {name: newest[name] for name in newest.dtype.names or ()}
     over = find_ended_shifts(running.at_last("time"), silence, newest["shift_end_s"], ride.is_riding).tolist()
-    forecasts = map(_replace_unknown, fill_forecasts(running, columns, ride, ride_names, context), over)
+    forecasts = map(_replace_unknown, fill_forecasts(running, newest, ride, ride_names, context), over)
     models = [cars.name(kind) for kind in cars.of_lane[running.lane].tolist()]
     soc = (running.at_last("soc") * 100.0).tolist()
     shadows = np.column_stack([np.where(ride.is_riding, each, np.nan) for each in (running.lane, *predicted[1:])])

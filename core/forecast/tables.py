@@ -1,36 +1,62 @@
 """Tables of the forecasts of the charge, and of the shifts that they were for, with names and units for people."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE
-from socast.core.forecast.forecast_rows import ForecastRows
-from socast.core.totals.accumulator import Totals
+from socast.core.forecast.forecast_rows import Rows, join_rows
 from socast.core.totals.context import RunContext
 from socast.core.totals.tables import text
 
+_OUTLOOKS: Final = {
+    "time_s": "time",
+    "shift": "shift",
+    "shift_begin_s": "begin",
+    "shift_end_s": "shift_end_s",
+    "planned": "basis",
+    "soc_pct": "soc",
+    "soc_mean_pct": "soc_end_of_shift",
+    "soc_p05_pct": "soc_end_of_shift_p05",
+    "soc_p95_pct": "soc_end_of_shift_p95",
+    "reserve_soc_pct": "reserve",
+    "reserve_risk": "reserve_risk",
+    "ahead_km": "ride_km_ahead",
+    "ambient_c": "ambient_c",
+    "soc_begin_pct": "begin_soc",
+    "shift_km": "distance",
+    "charge_s": "charge_time",
+    "charge_soc_mean_pct": "charge_soc",
+    "charge_soc_p05_pct": "charge_soc_p05",
+    "charge_soc_p95_pct": "charge_soc_p95",
+    "charge_risk": "charge_risk",
+    "charge_km": "charge_km",
+    "charge_planned": "basis",
+    "charge_to_pct": "charge_to",
+    "arrived_s": "arrived",
+    "arrival_soc_pct": "arrival_soc",
+}
+"""Column of the table of forecasts -> column of `FORECAST_ROW`."""
+_SHIFTS: Final = {
+    "shift": "shift",
+    "begin_s": "begin",
+    "end_s": "end",
+    "soc_begin_pct": "begin_soc",
+    "soc_end_pct": "last_soc",
+    "soc_lowest_pct": "lowest_soc",
+    "distance_km": "distance",
+    "ride_km": "ride_distance",
+    "charged_s": "charged",
+}
+"""Column of the table of shifts -> field of `CLOSED_SHIFT`."""
 
-class PublishedForecasts(NamedTuple):
-    """Hold the forecasts of n rows, with the lane, the kind of car and the time [s] of each."""
 
-    lane: Ints
-    kind: Ints
-    time: Floats
-    rows: ForecastRows
-
-    @classmethod
-    def create(cls, running: Totals, rows: ForecastRows) -> "PublishedForecasts":
-        """Return the forecasts at running totals."""
-        return cls(running.lane, running.at_last("kind").astype(np.int64), running.at_last("time"), rows)
-
-
-def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) -> pd.DataFrame:
+def tabulate_outlooks(parts: Sequence[Rows], context: RunContext) -> pd.DataFrame:
     """Return a table with one row per forecast of the charge at the end of a shift.
 
     Returns
@@ -44,42 +70,9 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
         ahead or under way, and `charge_to_pct` up to which the last one is planned; `arrived_s` and `arrival_soc_pct`,
         begin of the last charge in the shift and reading before it.
     """
-    names, cars = context.vehicle_ids, context.cars
-    lane = np.concatenate([part.lane for part in parts]) if parts else np.zeros(0, np.int64)
-    kind = np.concatenate([part.kind for part in parts]) if parts else np.zeros(0, np.int64)
-    time = np.concatenate([part.time for part in parts]) if parts else np.zeros(0)
-    rows = ForecastRows.join([part.rows for part in parts])
-    return pd.DataFrame(
-        {
-            "vehicle_id": text([names[i] for i in lane.tolist()]),
-            "vehicle_model": text([cars.name(i) for i in kind.tolist()]),
-            "time_s": time,
-            "shift": rows.shift.astype(np.int64),
-            "shift_begin_s": rows.begin,
-            "shift_end_s": rows.shift_end_s,
-            "planned": rows.basis != BY_HISTORY,
-            "soc_pct": 100.0 * rows.soc,
-            "soc_mean_pct": 100.0 * rows.soc_end_of_shift,
-            "soc_p05_pct": 100.0 * rows.soc_end_of_shift_p05,
-            "soc_p95_pct": 100.0 * rows.soc_end_of_shift_p95,
-            "reserve_soc_pct": 100.0 * rows.reserve,
-            "reserve_risk": rows.reserve_risk,
-            "ahead_km": rows.ride_km_ahead,
-            "ambient_c": rows.ambient_c,
-            "soc_begin_pct": 100.0 * rows.begin_soc,
-            "shift_km": rows.distance / 1000.0,
-            "charge_s": rows.charge_time,
-            "charge_soc_mean_pct": 100.0 * rows.charge_soc,
-            "charge_soc_p05_pct": 100.0 * rows.charge_soc_p05,
-            "charge_soc_p95_pct": 100.0 * rows.charge_soc_p95,
-            "charge_risk": rows.charge_risk,
-            "charge_km": rows.charge_km,
-            "charge_planned": rows.basis == OVER_CHARGE,
-            "charge_to_pct": 100.0 * rows.charge_to,
-            "arrived_s": rows.arrived,
-            "arrival_soc_pct": 100.0 * rows.arrival_soc,
-        }
-    )
+    rows = join_rows(parts)
+    of_basis = {"planned": rows["basis"] != BY_HISTORY, "charge_planned": rows["basis"] == OVER_CHARGE}
+    return pd.DataFrame(_list_columns(rows, rows["kind"], _OUTLOOKS, context) | of_basis)
 
 
 def tabulate_shifts(shifts: NDArray[np.void], context: RunContext) -> pd.DataFrame:
@@ -93,25 +86,21 @@ def tabulate_shifts(shifts: NDArray[np.void], context: RunContext) -> pd.DataFra
         (last time at which it charged after its departure, NaN for never), `ambient_c`, `capacity_kwh` (nominal
         usable).
     """
-    names, cars = context.vehicle_ids, context.cars
-    lane = shifts["lane"]
-    kinds = cars.of_lane[lane]
-    hours = shifts["hours"]
+    kinds, hours = context.cars.of_lane[shifts["lane"]], shifts["hours"]
     ambient = np.divide(shifts["warmth"], hours, out=np.full(len(hours), np.nan), where=hours > 0.0)
     return pd.DataFrame(
-        {
-            "vehicle_id": text([names[i] for i in lane.tolist()]),
-            "vehicle_model": text([cars.name(i) for i in kinds.tolist()]),
-            "shift": shifts["shift"].astype(np.int64),
-            "begin_s": shifts["begin"],
-            "end_s": shifts["end"],
-            "soc_begin_pct": 100.0 * shifts["begin_soc"],
-            "soc_end_pct": 100.0 * shifts["last_soc"],
-            "soc_lowest_pct": 100.0 * shifts["lowest_soc"],
-            "distance_km": shifts["distance"] / 1000.0,
-            "ride_km": shifts["ride_distance"] / 1000.0,
-            "charged_s": shifts["charged"],
-            "ambient_c": ambient - ZERO_CELSIUS,
-            "capacity_kwh": cars.capacity[kinds],
-        }
+        _list_columns(shifts, kinds, _SHIFTS, context)
+        | {"ambient_c": ambient - ZERO_CELSIUS, "capacity_kwh": context.cars.capacity[kinds]}
     )
+
+
+def _list_columns(rows: NDArray[np.void], kinds: Ints, columns: dict[str, str], context: RunContext) -> dict[str, Any]:
+    """Return the columns of a table: what cars they are, and fields of rows in per cent and kilometres."""
+    table: dict[str, Any] = {
+        "vehicle_id": text([context.vehicle_ids[lane] for lane in rows["lane"].tolist()]),
+        "vehicle_model": text([context.cars.name(kind) for kind in kinds.tolist()]),
+    }
+    for column, field in columns.items():
+        values = 100.0 * rows[field] if column.endswith("_pct") else rows[field]
+        table[column] = values / 1000.0 if field.endswith("distance") else values
+    return table | {"shift": rows["shift"].astype(np.int64)}

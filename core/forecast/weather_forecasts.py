@@ -28,6 +28,12 @@ _QUADRATURE: Final = (np.arange(5) + 0.5) / 5.0
 """Shares of the time ahead at which the temperature is averaged."""
 
 
+_OfStation = dict[float, tuple[float, float]]
+"""Forecasts of a station: time -> when it was issued [s], and temperature [K]."""
+_Course = Floats
+"""Times and temperatures in order of time, (2, n). [s], [K]"""
+
+
 class ForecastArrival(NamedTuple):
     """Hold a weather forecast and its place in the batch."""
 
@@ -35,22 +41,13 @@ class ForecastArrival(NamedTuple):
     forecast: Weather
 
 
-class _Course(NamedTuple):
-    """Hold the forecast temperatures of a station in order of time. [s], [K]"""
-
-    time: Floats
-    ambient: Floats
-
-
 class WeatherForecasts:
     """Keep the newest forecast temperature of each station and time."""
 
     def __init__(self) -> None:
-        self._temperatures: dict[
-            str, dict[float, tuple[float, float]]
-        ] = {}  # station -> time -> issued [s], temperature [K]
+        self._temperatures: dict[str, _OfStation] = {}
         self._names: set[str] = set()
-        self._courses: list[_Course] | None = None
+        self._courses: list[_Course] | None = None  # temperatures of each station in order of time
 
     def admit(self, forecast: Weather) -> str | None:
         """Keep a place for the station of a forecast, or return why the forecast cannot be used."""
@@ -75,10 +72,10 @@ class WeatherForecasts:
 
     def forget_before(self, time: float) -> None:
         """Forget temperatures that were forecast for times before a time [s], and stations without any other."""
-        self._temperatures = {
+        left = {
             name: {at: of for at, of in course.items() if at >= time} for name, course in self._temperatures.items()
         }
-        self._temperatures = {name: course for name, course in self._temperatures.items() if course}
+        self._temperatures = {name: course for name, course in left.items() if course}
         self._names, self._courses = set(self._temperatures), None
 
     def expect_between(
@@ -107,10 +104,12 @@ class WeatherForecasts:
         """Return the mean outside temperature over the time ahead."""
         ahead = np.clip(replace_nan(end - time), 0.0, 3600.0 * HOURS)
         if self._courses is None:
-            self._courses = [_order(course) for _, course in sorted(self._temperatures.items())]
+            sorted_by_time = [sorted(course.items()) for _, course in sorted(self._temperatures.items())]
+            self._courses = [np.array([(at, ambient) for at, (_, ambient) in each]).T for each in sorted_by_time]
         change, stations = np.zeros(len(time)), np.zeros(len(time))
         for course in self._courses:
-            applies = (course.time[0] - LARGEST_LEAD <= time) & (time <= course.time[-1])
+            first, last = course[0, [0, -1]]
+            applies = (first - LARGEST_LEAD <= time) & (time <= last)
             change += np.where(applies, _compute_mean_change(course, time, ahead, cycle), 0.0)
             stations += applies
         usual = _compute_mean_change(None, time, ahead, cycle)
@@ -127,12 +126,6 @@ class WeatherForecasts:
         self._names, self._courses = set(self._temperatures), None
 
 
-def _order(course: dict[float, tuple[float, float]]) -> _Course:
-    """Return the temperatures of a station in order of time."""
-    times = sorted(course)
-    return _Course(np.array(times), np.array([course[at][1] for at in times]))
-
-
 def _compute_mean_change(course: _Course | None, time: Floats, ahead: Floats, cycle: DailyCycle) -> Floats:
     """Return the mean change of the temperature over a time ahead [s], by a course or the usual course of the day."""
     mean = np.zeros(len(time))
@@ -145,5 +138,6 @@ def _interpolate(course: _Course | None, time: Floats, cycle: DailyCycle) -> Flo
     """Return the temperature at times but for a constant; outside a course, it follows the usual course of the day."""
     if course is None:
         return cycle.get_level(time)
-    inside = np.clip(time, course.time[0], course.time[-1])
-    return np.asarray(np.interp(inside, course.time, course.ambient) + cycle.get_level(time) - cycle.get_level(inside))
+    times, ambient = course
+    inside = np.clip(time, times[0], times[-1])
+    return np.asarray(np.interp(inside, times, ambient) + cycle.get_level(time) - cycle.get_level(inside))

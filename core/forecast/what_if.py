@@ -14,10 +14,9 @@ equals the forecast that a plan with that ride would produce.
 
 from collections.abc import Iterable
 from itertools import islice
-from math import inf, nan
+from math import inf
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
@@ -27,252 +26,211 @@ from socast.core.errors import AskError, suggest_names
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
-from socast.core.forecast.interval_columns import ChargeColumns, IntervalColumns
+from socast.core.forecast.messages import list_intervals, none_if_unknown
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
-    CarEstimate,
     EnergyAhead,
     MeanAndSd,
     PlanTimes,
     compute_end_soc,
     compute_planned_energy,
     compute_soc_sd,
-    compute_temperature_weights,
     fill_from_history,
     schedule_plan,
 )
-from socast.core.forecast.plan_checks import find_refusal
 from socast.core.forecast.plan_tracker import LONGEST_SHIFT
 from socast.core.forecast.planned_legs import PlannedLegs, compute_planned_legs
 from socast.core.forecast.soc_ahead import (
+    CarsNow,
     SocAhead,
     SocForecast,
     estimate_after_charge,
     find_charging_since,
-    forecast_soc,
     forecast_soc_ahead,
 )
-from socast.core.forecast.soc_filter import METER_GAIN_SD, SHIFT_GAP, write_estimate
+from socast.core.forecast.soc_filter import METER_GAIN_SD, write_estimate
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
+from socast.core.wire.plan_checks import find_refusal
 
 SEARCHED: Final = 1000
 """Largest number of vehicles among which a misspelled name is looked for."""
-
-
-class CarOutlook:
-    """Hold the present estimate of a car, and compute the consequences of energies ahead of it.
-
-    Parameters
-    ----------
-    shift_end : float
-        Planned end of the shift, NaN without a plan. [s]
-
-    Attributes
-    ----------
-    usable_kwh : float
-        Usable capacity, NaN where unknown. [kWh]
-    """
-
-    def __init__(self, engine: ForecastEngine, lane: int, shift_end: float) -> None:
-        cars, statistics = engine.context.cars, engine.statistics
-        estimate = np.zeros(1, SOC_ESTIMATE)
-        self.state = engine.state[lane]
-        write_estimate(self.state, estimate[0])
-        self.filtered = estimate
-        kinds = cars.of_lane[[lane]]
-        self.shift_begin = float(estimate["begin"][0])
-        self.estimate = CarEstimate.from_filter(estimate, cars.capacity[kinds])
-        self.usable_kwh = float(self.estimate.capacity[0] * np.exp(self.state["log_capacity"]))
-        self.time = float(self.state["time"])
-        self.pattern = statistics.get_patterns(np.array([lane]))
-        usual_end = self.shift_begin + 3600.0 * self.pattern["hours"]
-        end = np.array([shift_end]) if np.isfinite(shift_end) else usual_end
-        now = estimate["ambient"], np.array([self.time]), end
-        ambient = engine.weather.expect_ambient(*now, statistics.daily_cycle)
-        awake_s = self.time - estimate["begin"]
-        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient), awake_s)
-        self.tables = statistics.get_tables(lane)
-        self.model_name = cars.name(int(kinds[0]))
-        self.mean_pause = inf if self.tables is None else self.tables.mean_pause
-        self.conformal, self.charged_soc = statistics.conformal, statistics.charged_soc
-
-    def forecast(
-        self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: int, most: float, reserve: float
-    ) -> SocForecast:
-        """Return the charge after energies.
-
-        Units: energy [kWh], hours [h].
-        """
-        n = len(hours)
-        limits = np.full(n, reserve), np.full(n, most)
-        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, self.conformal, *limits)
-
-    def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: int) -> IntervalColumns:
-        """Return the energy that each leg takes from the battery.
-
-        Units: energy [kWh], returns [kWh].
-        """
-        zero = np.zeros(1)
-        only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero, curve=zero)
-        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
-        n, energy_km = len(energy.mean), energy.mean / self.usual.energy_per_km
-        _, bounds = self.conformal.get_quantiles(np.full(n, basis), energy_km)
-        least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
-
-        def compute_energy(bound: Floats) -> Floats:
-            return np.asarray(np.maximum(-self.usable_kwh * (end.mean + end.sd * bound), least))
-
-        return IntervalColumns(
-            mean=compute_energy(bounds.middle), p05=compute_energy(bounds.upper), p95=compute_energy(bounds.lower)
-        )
-
-
-class RouteAhead(NamedTuple):
-    """Hold the legs to drive until the end of the shift.
-
-    Parameters
-    ----------
-    query_place : int or None
-        Index of the queried leg, None without one.
-    """
-
-    legs: PlannedLegs
-    in_progress: bool
-    query_place: int | None
-
-    @classmethod
-    def create(
-        cls, left: PlannedLegs, in_progress: bool, leg: Leg | None, now: CarOutlook, *, drives_all: bool
-    ) -> "RouteAhead":
-        """Return the rest of a plan, with the queried leg first, but after the leg in progress.
-
-        Of a published plan, only the share of the legs counts for which there is time; all of a plan in a question
-        (`drives_all`) are driven, and so is the queried leg.
-        """
-        if not drives_all:
-            left = left.keep_share(float(_schedule(left, in_progress, now).kept[0]), int(in_progress))
-        if leg is None:
-            return cls(left, in_progress, None)
-        queried = compute_planned_legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
-        sure = 1.0 / now.usual.plan_factor[0, 0]  # of plans that share is driven, but the queried leg is driven
-        queried = queried._replace(energy=sure * queried.energy, begun_energy=sure * queried.begun_energy)
-        return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress))
-
-    def compute_ahead(self, now: CarOutlook) -> "WayAhead":
-        """Return the energy ahead by plan, as for a forecast."""
-        time, riding = np.array([now.time]), np.array([self.in_progress])
-        progress = self.legs.compute_progress(0.0).reshape(1)
-        charging_since = find_charging_since(now.filtered, progress["came"])
-        times = _schedule(self.legs, self.in_progress, now, drives_all=True)
-        energy = compute_planned_energy(progress, times, time, riding, now.usual)
-        return WayAhead(progress, times, charging_since, energy)
-
-    def compute_leg_outlooks(self, now: CarOutlook, way: "WayAhead", soc: SocAhead) -> list[LegOutlook]:
-        """Return the outlook of each leg."""
-        is_charge = np.isfinite(self.legs.charge_to)
-        legs = self._spread_time(now, way)
-        only = now.usual.expect_plan(np.column_stack([legs.driving, np.zeros(len(is_charge))]))
-        energy = now.compute_leg_intervals(self.legs, only, legs.basis).list_intervals()
-        stretch, out = np.cumsum(is_charge), []
-        for number in range(int(is_charge.sum()) + 1):
-            rows = np.flatnonzero(stretch == number)
-            levels = self._compute_stretch(now, way, soc, legs, rows, number)
-            of_legs = zip(rows.tolist(), levels.list_intervals(), levels.risk.tolist(), strict=False)
-            out += [  # the charge may have one more row
-                self._describe_leg(place, energy[place], level, risk) for place, level, risk in of_legs
-            ]
-        return out
-
-    def _spread_time(self, now: CarOutlook, way: "WayAhead") -> "LegTimes":
-        """Return the time and the energy of each leg and of the wait before it."""
-        is_charge = np.isfinite(self.legs.charge_to)
-        place, hours = np.arange(len(is_charge)), self.legs.seconds / 3600.0
-        waits = place >= self.in_progress + (self.query_place is not None)
-        until_end = (float(way.energy.end[0]) - now.time) / 3600.0
-        ahead = until_end if is_charge.any() else float(way.energy.hours[0])
-        spare = max(ahead - float(hours.sum()), 0.0)
-        longest = inf if is_charge.any() else now.mean_pause
-        pause = np.asarray((waits & ~is_charge) * min(spare / max(int(waits.sum()), 1), longest), np.float64)
-        approaches = (place >= self.in_progress) & ~is_charge
-        idling = pause * now.usual.standing_power + approaches * now.usual.approach_energy
-        idling[:1] += now.usual.warm_up_energy
-        driving = self.legs.energy @ now.usual.weights[0]
-        if is_charge.any():
-            return LegTimes(hours, pause, driving, idling, TO_CHARGE)
-        return LegTimes(hours, pause, driving, idling, int(way.energy.basis[0]))
-
-    def _compute_stretch(
-        self, now: CarOutlook, way: "WayAhead", soc: SocAhead, legs: "LegTimes", rows: Ints, number: int
-    ) -> ChargeColumns:
-        """Return the charge after each leg of a stretch between charges; a row for its end follows where known."""
-        charges = np.flatnonzero(np.isfinite(self.legs.charge_to))
-        begin, basis, most = now.estimate, legs.basis, float(now.estimate.soc[0])
-        hours = legs.hours[rows]
-        if number:
-            place, basis, most = charges[number - 1], OVER_CHARGE, 1.0
-            hours = np.append(0.0, hours[1:])  # the charge itself is over where the stretch begins
-            passed = np.array([float((legs.hours + legs.pause)[: place + 1].sum())])
-            begin = estimate_after_charge(now.estimate, self.legs.charge_to[[place]], passed, now.charged_soc)
-        if number == len(charges) and soc.charged is not None:
-            begin = soc.charged
-        parts = np.cumsum(np.column_stack([legs.driving, legs.idling])[rows], axis=0)
-        spent = now.usual.expect_plan(parts)
-        timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(legs.pause[rows] ** 2))
-        until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
-        levels = ChargeColumns.from_forecast(
-            now.forecast(
-                begin, until_leg, np.cumsum(legs.pause[rows] + hours), basis, most, float(way.energy.reserve[0])
-            )
-        )
-        if 0 < number < len(charges):
-            return levels
-        end = ChargeColumns.from_forecast(soc.end if number == len(charges) else soc.charge)
-        return levels.lead_to(end, np.append(spent.mean, inf if number else way.energy.energy))
-
-    def _describe_leg(self, place: int, energy: Interval | None, soc: Interval | None, risk: float) -> LegOutlook:
-        """Return the outlook of the leg at an index."""
-        leg = self.legs.plan.legs[place]
-        if leg.charge_to_soc_pct is not None:
-            return LegOutlook(0.0, leg.duration_s, None, soc, leg.charge_to_soc_pct)
-        return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=_none_if_unknown(risk))
-
-
-def _schedule(legs: PlannedLegs, in_progress: bool, now: CarOutlook, *, drives_all: bool = False) -> PlanTimes:
-    """Return how the rest of a shift is spent with these legs."""
-    progress = legs.compute_progress(0.0).reshape(1)
-    since = find_charging_since(now.filtered, progress["came"])
-    time, riding = np.array([now.time]), np.array([in_progress])
-    return schedule_plan(progress, time, np.zeros(1), riding, since, drives_all=drives_all)
+_ROUNDING_KWH: Final = 1e-9
 
 
 class LegTimes(NamedTuple):
-    """Hold how the time and the energy ahead are spread over n legs.
+    """Hold how the time and the energy ahead are spread over n legs, (n,) float each.
 
     Parameters
     ----------
-    hours, pause : (n,) float
-        Time of each leg and of the wait before it. [h]
-    driving, idling : (n,) float
-        Energy of both. [kWh]
-    basis : int
-        Basis of the forecasts.
+    hours, pause : Time of each leg and of the wait before it. [h]
+    driving, idling : Energy of both. [kWh]
     """
 
     hours: Floats
     pause: Floats
     driving: Floats
     idling: Floats
-    basis: int
 
 
-class WayAhead(NamedTuple):
-    """Hold the plan of one car, with its times and its energy until the next planned charge or the end of the shift."""
+class CarOutlook:
+    """Answer a query about one car: its legs to drive until the end of the shift, and what they lead to.
 
-    progress: NDArray[np.void]
-    times: PlanTimes
-    charging_since: Floats
-    energy: EnergyAhead
+    Attributes
+    ----------
+    usable_kwh : Usable capacity, NaN where unknown. [kWh]
+    query_place : Index of the queried leg, None without one.
+    ahead : Energy until the next planned charge, or else the end of the shift.
+    """
+
+    def __init__(self, engine: ForecastEngine, lane: int, left: PlannedLegs | None) -> None:
+        cars, statistics, weather = engine.context.cars, engine.statistics, engine.weather
+        self.state, filtered = engine.state[lane], np.zeros(1, SOC_ESTIMATE)
+        write_estimate(self.state, filtered[0])
+        self.time, lanes, kinds = float(self.state["time"]), np.array([lane]), cars.of_lane[[lane]]
+        time, usual_end = np.array([self.time]), filtered["begin"] + 3600.0 * statistics.get_patterns(lanes)["hours"]
+        end = usual_end if left is None else np.array([left.plan.shift_end_s])
+        ambient = weather.expect_ambient(filtered["ambient"], time, end, statistics.daily_cycle)
+        self.now = CarsNow.create(lanes, kinds, time, filtered, ambient, statistics, cars)
+        self.usable_kwh = float(self.now.estimate.capacity[0] * np.exp(self.state["log_capacity"]))
+        self.tables, self.model_name = statistics.get_tables(lane), cars.name(int(kinds[0]))
+        no_plan = Plan("", self.time, self.time, 100.0 * DEFAULT_RESERVE, [])
+        self.is_planned, self.legs = left is not None, left or compute_planned_legs(no_plan, self.tables)
+        begun = engine.plans.is_riding(lane) and len(self.legs.km) > 0
+        self.in_progress = bool(begun and np.isnan(self.legs.charge_to[0]))
+
+    def look_ahead(self, leg: Leg | None, *, drives_all: bool) -> SocAhead:
+        """Return the forecasts of the charge with the queried leg first, but after the leg in progress.
+
+        Of a published plan, only the share of the legs counts for which there is time; all of a plan in a question
+        (`drives_all`) are driven, and so is the queried leg.
+        """
+        first, now = int(self.in_progress), self.now
+        if not drives_all:
+            self.legs = self.legs.keep_share(float(self._schedule(drives_all=False)[1].kept[0]), first)
+        self.query_place = None if leg is None else first
+        if leg is not None:
+            queried = compute_planned_legs(Plan("", self.time, self.time, 0.0, [leg]), self.tables)
+            sure = 1.0 / now.usual.plan_factor[0, 0]  # of plans that share is driven, but the queried leg is driven
+            queried = queried._replace(energy=sure * queried.energy, begun_energy=sure * queried.begun_energy)
+            self.legs = self.legs.insert(first, queried)
+        progress, times = self._schedule(drives_all=True)
+        self.ahead = compute_planned_energy(progress, times, now.time, np.array([self.in_progress]), now.usual)
+        if not self.is_planned:
+            self.ahead = _add_history(self.ahead, leg is not None, now)
+        return forecast_soc_ahead(now, self.ahead, progress, times)
+
+    def _schedule(self, *, drives_all: bool) -> tuple[NDArray[np.void], PlanTimes]:
+        """Return the progress of the plan with the present legs, and how the rest of the shift is spent."""
+        progress = self.legs.compute_progress(0.0).reshape(1)
+        since, riding = find_charging_since(self.now.filtered, progress["came"]), np.array([self.in_progress])
+        return progress, schedule_plan(progress, self.now.time, np.zeros(1), riding, since, drives_all=drives_all)
+
+    def list_legs(self, soc: SocAhead) -> list[LegOutlook]:
+        """Return the outlook of each leg."""
+        is_charge = np.isfinite(self.legs.charge_to)
+        basis = TO_CHARGE if is_charge.any() else int(self.ahead.basis[0])
+        times = self._spread_time(is_charge)
+        energies = self._compute_leg_energies(times, basis)
+        stretch, out = np.cumsum(is_charge), []
+        for number in range(int(is_charge.sum()) + 1):
+            rows = np.flatnonzero(stretch == number)
+            mean, low, high, risk = self._compute_stretch(soc, times, rows, number, basis)
+            charges = list_intervals(mean, low, high)
+            for place, charge, of_leg in zip(rows.tolist(), charges, risk.tolist(), strict=False):
+                # the charge may have one more row
+                out.append(_describe_leg(self.legs.plan.legs[place], energies[place], charge, of_leg))
+        return out
+
+    def _spread_time(self, is_charge: NDArray[np.bool_]) -> LegTimes:
+        """Return the time and the energy of each leg and of the wait before it."""
+        usual, place, hours = self.now.usual, np.arange(len(is_charge)), self.legs.seconds / 3600.0
+        waits = place >= self.in_progress + (self.query_place is not None)
+        until_end = (float(self.ahead.end[0]) - self.time) / 3600.0
+        ahead = until_end if is_charge.any() else float(self.ahead.hours[0])
+        spare = max(ahead - float(hours.sum()), 0.0)
+        longest = inf if is_charge.any() or self.tables is None else self.tables.mean_pause
+        pause = np.asarray((waits & ~is_charge) * min(spare / max(int(waits.sum()), 1), longest), np.float64)
+        approaches = (place >= self.in_progress) & ~is_charge
+        idling = pause * usual.standing_power + approaches * usual.approach_energy
+        idling[:1] += usual.warm_up_energy
+        return LegTimes(hours, pause, self.legs.energy @ usual.weights[0], idling)
+
+    def _compute_leg_energies(self, times: LegTimes, basis: int) -> list[Interval | None]:
+        """Return the energy that each leg takes from the battery. [kWh]"""
+        zero, n = np.zeros(1), len(times.hours)
+        energy = self.now.usual.expect_plan(np.column_stack([times.driving, np.zeros(n)]))
+        only_leg = self.now.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero, curve=zero)
+        end = compute_end_soc(only_leg, energy, times.hours)
+        energy_km = energy.mean / self.now.usual.energy_per_km
+        _, bounds = self.now.conformal.get_quantiles(np.full(n, basis), energy_km)
+        least = np.array([-np.inf if leg.lost_m else 0.0 for leg in self.legs.plan.legs])  # only descents return energy
+        falls = (-self.usable_kwh * (end.mean + end.sd * each) for each in (bounds.middle, bounds.upper, bounds.lower))
+        return list_intervals(*(np.maximum(each, least) for each in falls))
+
+    def _compute_stretch(self, soc: SocAhead, times: LegTimes, rows: Ints, number: int, basis: int) -> Floats:
+        """Return the charge after each leg of a stretch between charges; a row for its end follows where known.
+
+        It is (4, n): mean and percentiles [%], and the probability that the charge is below the reserve [1].
+        """
+        now, charges = self.now, np.flatnonzero(np.isfinite(self.legs.charge_to))
+        begin, most, hours = now.estimate, float(now.estimate.soc[0]), times.hours[rows]
+        if number:
+            place, basis, most = charges[number - 1], OVER_CHARGE, 1.0
+            hours = np.append(0.0, hours[1:])  # the charge itself is over where the stretch begins
+            passed = np.array([float((times.hours + times.pause)[: place + 1].sum())])
+            begin = estimate_after_charge(begin, self.legs.charge_to[[place]], passed, now.charged_soc)
+        if number == len(charges) and soc.charged is not None:
+            begin = soc.charged
+        spent = now.usual.expect_plan(np.cumsum(np.column_stack([times.driving, times.idling])[rows], axis=0))
+        timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(times.pause[rows] ** 2))
+        until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
+        of_legs = np.full(len(rows), basis), np.full(len(rows), self.ahead.reserve[0]), np.full(len(rows), most)
+        levels = _stack(now.forecast_soc(begin, until_leg, np.cumsum(times.pause[rows] + hours), *of_legs))
+        if not 0 < number < len(charges):
+            end = _stack(soc.end if number == len(charges) else soc.charge)
+            spent_until = np.append(spent.mean, inf if number else self.ahead.energy)
+            levels = make_consistent(np.concatenate([levels, end]), spent_until)
+        return np.asarray(levels.T * [[1.0], [1.0], [1.0], [-1.0]])
+
+    def compute_waiting_energy(self) -> float | None:
+        """Return what the car takes of the energy ahead by plan while it drives no leg; None without a plan. [kWh]"""
+        if not self.is_planned:
+            return None
+        waiting = self.ahead.planned[:, 1] * self.now.usual.plan_factor[:, 1] * np.exp(self.state["log_capacity"])
+        factor = np.exp(self.now.estimate.compute_mean_log_factor(self.ahead.hours))
+        return none_if_unknown(float((waiting * factor)[0]))
+
+
+def _stack(soc: SocForecast) -> Floats:
+    """Return mean and percentiles [%] of charges, and the negative risk, all of which fall with them, (n, 4)."""
+    return np.column_stack([100.0 * soc.mean, 100.0 * soc.p05, 100.0 * soc.p95, -soc.risk])
+
+
+def make_consistent(charge: Floats, spent: Floats) -> Floats:
+    """Return charges ahead, one point after another, that do not rise while energy is spent; NaN where unknown.
+
+    Intervals are learned for each distance separately, so that a later one may be narrower. The last charge stays as it
+    is. The ones before are raised to it where necessary, because a car below it earlier is also below it later. The
+    energy until each point [kWh] falls where a descent returns more than the leg takes.
+
+    Examples
+    --------
+    >>> make_consistent(np.array([50.0, 40.0, 42.0, 41.0]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()
+    [50.0, 42.0, 42.0, 41.0]
+    """
+    out = charge.copy()
+    for i in reversed(range(len(out) - 1)):
+        if spent[i + 1] >= spent[i] - _ROUNDING_KWH:
+            out[i] = np.where(np.isnan(out[i]), out[i], np.fmax(out[i], out[i + 1]))
+    return out
+
+
+def _describe_leg(leg: Leg, energy: Interval | None, soc: Interval | None, risk: float) -> LegOutlook:
+    """Return the outlook of a leg."""
+    if leg.charge_to_soc_pct is not None:
+        return LegOutlook(0.0, leg.duration_s, None, soc, leg.charge_to_soc_pct)
+    return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=none_if_unknown(risk))
 
 
 def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
@@ -281,59 +239,33 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     if plan is not None and (refused := find_refusal(plan, time, LONGEST_SHIFT)) is not None:
         raise AskError(refused.message, refused.cause)
     left = tracker.get_remaining_legs(lane, time, plan, engine.statistics.get_tables(lane))
-    now = CarOutlook(engine, lane, nan if left is None else left.plan.shift_end_s)
-    no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
-    in_progress = tracker.is_riding(lane) and left is not None and len(left.km) > 0 and np.isnan(left.charge_to[0])
-    route = RouteAhead.create(left or no_legs, in_progress, leg, now, drives_all=plan is not None)
-    way = route.compute_ahead(now)
-    if left is None:
-        way = way._replace(energy=_add_history(way.energy, leg is not None, now))
-    ahead = way.energy
-    soc = forecast_soc_ahead(
-        now.estimate,
-        ahead,
-        way.progress,
-        way.times,
-        np.array([now.time]),
-        way.charging_since,
-        now.usual,
-        now.conformal,
-        now.charged_soc,
-    )
-    (end_interval,) = ChargeColumns.from_forecast(soc.end).list_intervals()
-    (charge,) = ChargeColumns.from_forecast(soc.charge).list_intervals()
-    legs = route.compute_leg_outlooks(now, way, soc)
-    capacity = now.usable_kwh
-    capacity_sd = capacity * float(np.hypot(np.sqrt(now.state["p_cc"]), METER_GAIN_SD))
+    car = CarOutlook(engine, lane, left)
+    soc = car.look_ahead(leg, drives_all=plan is not None)
+    end, charge = (list_intervals(*(100.0 * each for each in of[:3]))[0] for of in (soc.end, soc.charge))
+    legs, now, ahead = car.list_legs(soc), car.now, car.ahead
+    capacity_sd = car.usable_kwh * float(np.hypot(np.sqrt(car.state["p_cc"]), METER_GAIN_SD))
     ended = plan is None and left is None and lane in tracker.plans
-    no_energy = _explain_unknown_energy(left is not None, ahead, now.pattern, later=lane in tracker.later, ended=ended)
+    no_energy = _explain_unknown_energy(car, later=lane in tracker.later, ended=ended)
+    next_charge = charge and NextCharge(float(soc.charge_time[0]), charge, none_if_unknown(float(soc.charge.risk[0])))
     return Outlook(
         vehicle_id=engine.context.vehicle_ids[lane],
-        time_s=now.time,
+        time_s=time,
         model=engine.context.model_label,
-        soc_pct=_none_if_unknown(100.0 * float(now.estimate.soc[0])),
-        soc_sd_pct=_none_if_unknown(100.0 * float(compute_soc_sd(now.estimate)[0])),
-        usable_capacity_kwh=_none_if_unknown(capacity),
-        usable_capacity_sd_kwh=_none_if_unknown(capacity_sd),
-        consumption_scale=_none_if_unknown(float(np.exp(now.state["log_consumption"]))),
-        asked=None if route.query_place is None else legs[route.query_place],
-        legs=[each for number, each in enumerate(legs) if number != route.query_place],
-        shift_end_s=_none_if_unknown(float(ahead.end[0])),
-        soc_end_of_shift_pct=end_interval,
+        soc_pct=none_if_unknown(100.0 * float(now.estimate.soc[0])),
+        soc_sd_pct=none_if_unknown(100.0 * float(compute_soc_sd(now.estimate)[0])),
+        usable_capacity_kwh=none_if_unknown(car.usable_kwh),
+        usable_capacity_sd_kwh=none_if_unknown(capacity_sd),
+        consumption_scale=none_if_unknown(float(np.exp(car.state["log_consumption"]))),
+        asked=None if car.query_place is None else legs.pop(car.query_place),
+        legs=legs,
+        shift_end_s=none_if_unknown(float(ahead.end[0])),
+        soc_end_of_shift_pct=end,
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
-        reserve_risk=_none_if_unknown(float(soc.end.risk[0])),
-        why_not=_explain_unknown_end(now, end_interval, no_energy),
-        next_charge=UNSET
-        if charge is None
-        else NextCharge(float(soc.charge_time[0]), charge, _none_if_unknown(float(soc.charge.risk[0]))),
-        waiting_energy_kwh=None if left is None else _compute_waiting_energy(now, ahead),
+        reserve_risk=none_if_unknown(float(soc.end.risk[0])),
+        why_not=None if end else _explain_unknown_end(car, no_energy),
+        next_charge=next_charge or UNSET,
+        waiting_energy_kwh=car.compute_waiting_energy(),
     )
-
-
-def _compute_waiting_energy(now: CarOutlook, ahead: EnergyAhead) -> float | None:
-    """Return what the car takes of the energy ahead by plan while it drives no leg. [kWh]"""
-    waiting = ahead.planned[:, 1] * now.usual.plan_factor[:, 1] * np.exp(now.state["log_capacity"])
-    return _none_if_unknown(float((waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours)))[0]))
 
 
 def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:
@@ -343,32 +275,7 @@ def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:
     return AskError(f"vehicle {vehicle_id!r} has sent nothing so far: {remedy}", "unknown_vehicle")
 
 
-def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
-    """Return an outlook without charges if the car has been silent for so long that its shift is over.
-
-    The car may have driven on or charged meanwhile, so no charge is published. The energies of rides remain.
-    """
-    if silent_s <= SHIFT_GAP:
-        return outlook
-    queried, *legs = (
-        each and msgspec.structs.replace(each, soc_pct=None, reserve_risk=UNSET)
-        for each in (outlook.asked, *outlook.legs)
-    )
-    return msgspec.structs.replace(
-        outlook,
-        asked=queried,
-        legs=legs,
-        shift_end_s=None,
-        soc_end_of_shift_pct=None,
-        reserve_risk=None,
-        next_charge=UNSET,
-        waiting_energy_kwh=None,
-        why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while other cars sent data, so its shift "
-        "is over",
-    )
-
-
-def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhead:
+def _add_history(ride: EnergyAhead, queried: bool, now: CarsNow) -> EnergyAhead:
     """Return the energy ahead without a plan: the queried ride, if any, and the usual rest of the shift after it.
 
     In a shift that is longer than usual, the queried ride is all that is ahead.
@@ -376,48 +283,35 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhe
     unknown = np.array([np.nan])
     nothing = ride._replace(energy=unknown, km=unknown, hours=unknown, end=unknown, reserve=unknown)
     later = now.usual._replace(warm_up_energy=np.zeros(1))  # the warm-up is part of the ride's energy
-    usual = fill_from_history(nothing, later, ride.end - now.shift_begin, ride.end, now.pattern)
+    usual = fill_from_history(nothing, later, ride.end - now.filtered["begin"], ride.end, now.patterns)
     if np.isfinite(usual.energy[0]):
-        return usual._replace(
-            energy=ride.energy + usual.energy,
-            sd=ride.sd,
-            km=ride.km + usual.km,
-            hours=ride.hours + usual.hours,
-        )
-    if queried and np.isfinite(now.pattern["hours"][0]):
+        energy, km, hours = ride.energy + usual.energy, ride.km + usual.km, ride.hours + usual.hours
+        return usual._replace(energy=energy, sd=ride.sd, km=km, hours=hours)
+    if queried and np.isfinite(now.patterns["hours"][0]):
         return ride._replace(basis=np.full(1, BY_HISTORY))
     return usual
 
 
-def _explain_unknown_energy(
-    planned: bool, ahead: EnergyAhead, pattern: NDArray[np.void], *, later: bool, ended: bool
-) -> str | None:
+def _explain_unknown_energy(car: CarOutlook, *, later: bool, ended: bool) -> str | None:
     """Return why the energy ahead is unknown; None where it is known."""
-    if planned or np.isfinite(ahead.energy[0]):
+    if car.is_planned or np.isfinite(car.ahead.energy[0]):
         return None
     plan = "the plan that is known has ended; send a new one" if ended else "no plan is known"
     plan = "the plan that is known is of a later shift" if later else plan
-    if np.isfinite(pattern["hours"][0] * pattern["relative_power"][0]):
+    if np.isfinite(car.now.patterns["hours"][0] * car.now.patterns["relative_power"][0]):
         return f"{plan}, and this shift is longer than this car's usual shifts"
     return f"{plan}, and this car has ended too few shifts to estimate the rest of this one"
 
 
-def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str | None) -> str | None:
-    """Return why the charge at the end is unknown, the most basic reason first; None where it is known."""
-    if end is not None:
-        return None
-    if not np.isfinite(now.estimate.soc[0]):
+def _explain_unknown_end(car: CarOutlook, no_energy: str | None) -> str:
+    """Return why the charge at the end is unknown, the most basic reason first."""
+    if not np.isfinite(car.now.estimate.soc[0]):
         return "the car reports no state of charge"
-    if now.tables is None:
-        if now.model_name is None:
+    if car.tables is None:
+        if car.model_name is None:
             return "no vehicle message has told which model this car is"
         return (
-            f"the vehicle model {now.model_name!r} is not in the catalogue, and its vehicle message lacks "
+            f"the vehicle model {car.model_name!r} is not in the catalogue, and its vehicle message lacks "
             f"{' or '.join(OVERRIDES)}; describe the car with `socast vehicles new`"
         )
     return no_energy or "the temperature or the energy ahead is unknown"
-
-
-def _none_if_unknown(value: float) -> float | None:
-    """Return a number, None where it is not finite."""
-    return value if np.isfinite(value) else None

@@ -135,7 +135,7 @@ class ShadowModels:
         taken = rides.rows(rows)
         for monitor in self.monitors:
             self._count_interval_outcomes(monitor, taken, context, measured[rows])
-        kinds = taken.at_last("kind").astype(np.int64).tolist()
+        kinds = taken.kinds.tolist()
         self.add_ended(
             EndedRides(
                 taken.lane,

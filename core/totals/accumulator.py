@@ -170,6 +170,20 @@ class Totals(NamedTuple):
         """Return a column of `EDGES` at the last sample."""
         return self.last[:, EDGES.index(name)]
 
+    @property
+    def kinds(self) -> Ints:
+        """Kind of car of each row."""
+        return self.at_last("kind").astype(np.int64)
+
+    def flagged(self, cause: str) -> Floats:
+        """Return the number of samples with a quality bit."""
+        return self.quality[:, CAUSES.index(cause)]
+
+    def share(self, name: str, whole: str = "duration", otherwise: float = 0.0) -> Floats:
+        """Return an amount over that of the whole, or another number where the whole is not above zero."""
+        over = self.amount(whole)
+        return np.divide(self.amount(name), over, out=np.full(len(over), otherwise), where=over > 0.0)
+
 
 def join_totals(parts: Sequence[Totals], none: Totals) -> Totals:
     """Return totals concatenated; `none` where there are no rows."""
@@ -306,7 +320,7 @@ class Accumulator:
 
     def ride_codes(self) -> Floats:
         """Return the code of the last ride of each lane, see `socast.core.wire.rides.RideNames`."""
-        return self._open[:, self._layout.last + EDGES.index("code")]
+        return self._open[:, self._layout.last + CODE]
 
     def _output_rows(self, lanes: Ints) -> Floats:
         """Return output rows of the open totals of some lanes, without a row of the batch."""
@@ -385,7 +399,9 @@ def add_rows(
         if riding:
             add_quality(totals, layout.quality, quality[i])
         if due[i]:
-            write_running(running_out[n_running], place[i], lane[i], totals, layout)
+            write_row(running_out[n_running], place[i], lane[i], totals)
+            of_ride = running_out[n_running, _OUT_HEAD + layout.ride_amounts : _OUT_HEAD + layout.ride_first]
+            of_ride += totals[layout.window_amounts : layout.ride_amounts]  # with the open window
             n_running += 1
     return n_rides, n_idle, n_windows
 
@@ -412,7 +428,10 @@ def close_open(
         write_row(ride_row, place, lane, totals)
     elif rest:
         write_row(rest_row, place, lane, totals)
-    open_ride(totals, layout, edges, i)
+    totals[layout.ride_amounts : layout.ride_first] = 0.0
+    totals[layout.quality :] = 0.0
+    for j in range(edges.shape[0]):
+        totals[layout.ride_first + j] = totals[layout.window_first + j] = totals[layout.last + j] = edges[j, i]
     return int(in_ride), int(rest), int(in_ride)
 
 
@@ -429,28 +448,11 @@ def end_ride(totals: Any, layout: Any, end: Any, n_edges: int, ride_row: Any, wi
 
 
 @njit(cache=True)
-def open_ride(totals: Any, layout: Any, edges: Any, i: int) -> None:
-    """Clear the totals of ride or idle period, and begin the next one at row `i`."""
-    totals[layout.ride_amounts : layout.ride_first] = 0.0
-    totals[layout.quality :] = 0.0
-    for j in range(edges.shape[0]):
-        totals[layout.ride_first + j] = totals[layout.window_first + j] = totals[layout.last + j] = edges[j, i]
-
-
-@njit(cache=True)
 def add_row(totals: Any, begin: int, rates: Any, speed_bin: Any, i: int) -> None:
     """Add the rates of row `i` to the amounts that begin at a column, and its distance to the speed histogram."""
     for j in range(rates.shape[0]):
         totals[begin + j] += rates[j, i]
     totals[begin + rates.shape[0] + speed_bin[i]] += rates[DISTANCE, i]
-
-
-@njit(cache=True)
-def write_running(row: Any, place: int, lane: int, totals: Any, layout: Any) -> None:
-    """Write the running totals of a lane to an output row: those of the ride plus those of the open window."""
-    write_row(row, place, lane, totals)
-    for j in range(layout.ride_amounts - layout.window_amounts):
-        row[_OUT_HEAD + layout.ride_amounts + j] += totals[layout.window_amounts + j]
 
 
 @njit(cache=True)

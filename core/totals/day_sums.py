@@ -22,6 +22,11 @@ class DaySums:
         """Return an array of sums, which `add` changes."""
         return self._parts[name]
 
+    def age(self, memory: float, today: "DaySums", weight: float = 1.0) -> None:
+        """Let the sums so far keep a share of their weight, and add those of a day with a weight."""
+        for name, known in self._parts.items():
+            self.add(name, weight * today.get(name) - (1.0 - memory) * known)
+
     def clear(self) -> None:
         """Set all sums to 0, in new arrays."""
         self._parts = {name: np.zeros(part.shape) for name, part in self._parts.items()}

@@ -160,7 +160,7 @@ class DisplayYields:
             for number, part in enumerate(parts):
                 running = number == len(parts) - 1  # a due row after which a ride closed is not part of that ride
                 later = _find_later(part, rides.lane[closed], rides.at[closed] - running)
-                part.display[later] = self._find_yields(part.lane[later], part.at_last("kind")[later])
+                part.display[later] = self._find_yields(part.lane[later], part.kinds[later])
         return Sums(*parts)
 
     def describe(self, totals: Totals, lanes: int) -> Totals:
@@ -168,7 +168,7 @@ class DisplayYields:
         if not len(totals.lane):
             return totals
         self._grow(lanes)
-        return totals._replace(display=self._find_yields(totals.lane, totals.at_last("kind")))
+        return totals._replace(display=self._find_yields(totals.lane, totals.kinds))
 
     def apply_daily_update(self, kind_of_lane: Ints | None = None) -> None:
         """Pool what was learned of the cars of each vehicle model."""
@@ -234,9 +234,8 @@ class DisplayYields:
             self._pooled = grown(self._pooled, len(self._codes), 0.0)
             self._forgotten = grown(self._forgotten, len(self._pooled), 0.0)
 
-    def _find_yields(self, lanes: Ints, kind: Floats) -> NDArray[Any]:
+    def _find_yields(self, lanes: Ints, kinds: Ints) -> NDArray[Any]:
         """Return the present yields of cars in lanes, (n,) DISPLAY_YIELD."""
-        kinds = kind.astype(np.int64)
         out = self._yields.take(lanes)
         anew = np.flatnonzero(self._kind[lanes] != kinds)
         if len(anew):
@@ -301,7 +300,7 @@ class DisplayYields:
         energy, sd = measure_by_power(rides, self._cars)
         first, last = rides.at_first("soc"), rides.at_last("soc")
         known = self._lanes[rides.lane]
-        each = self._infer(known, rides.at_last("kind").astype(np.int64))
+        each = self._infer(known, rides.kinds)
         mean = (each.k * each.probability).sum(axis=1)
         fall, bend = first - last, mean * energy * (first + last - 1.0)
         of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)

@@ -79,20 +79,14 @@ def _find_ratio(totals: Totals, witness: str, run: str, least: float) -> Floats:
 def _compare_odometer(totals: Totals) -> NDArray[np.bool_]:
     """Return where the odometer clearly contradicts the distance."""
     ticked, run = totals.amount("ticked"), totals.amount("ticked_run")
-    most = OFF * ticked + SLACK + LATE * _find_step(totals)
+    most = OFF * ticked + SLACK + LATE * totals.share("distance", "samples")
     return np.asarray((ticked > LEAST_TICKED) & (np.abs(run - ticked) > most))
 
 
 def _contradicts_speeds(totals: Totals) -> NDArray[np.bool_]:
     """Return where odometer or fixes of a slow logger show another distance than its speeds by far."""
     slow, run = totals.amount("slow"), totals.amount("slow_run")
-    return np.asarray(np.abs(slow - run) > SLOW_OFF * slow + SLOW_STEPS * _find_step(totals))
-
-
-def _find_step(totals: Totals) -> Floats:
-    """Return the mean distance between two samples. [m]"""
-    samples = totals.amount("samples")
-    return np.divide(totals.amount("distance"), samples, out=np.zeros(len(samples)), where=samples > 0.0)
+    return np.asarray(np.abs(slow - run) > SLOW_OFF * slow + SLOW_STEPS * totals.share("distance", "samples"))
 
 
 def _compare_fixes(totals: Totals) -> NDArray[np.bool_]:

@@ -10,8 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from socast.core.batch import Floats
-from socast.core.cleaning.quality import CAUSES
 from socast.core.totals.accumulator import Totals
 
 LoggerFaults = dict[str, Counter[str]]
@@ -41,9 +39,9 @@ _SENTENCES: Final = {
 def count_faults(rides: Totals, lane_names: list[str]) -> LoggerFaults:
     """Return the faults that rides show, by car."""
     found = {
-        CURRENT_INVERTED: _count_bits(rides, CURRENT_INVERTED) > 0,
-        CLOCK_ROLLOVER: _count_bits(rides, CLOCK_ROLLOVER) > 0,
-        STAMPS_SHARED: _count_bits(rides, "stamp_shared") > MOST_SHARED * rides.amount("samples"),
+        CURRENT_INVERTED: rides.flagged(CURRENT_INVERTED) > 0,
+        CLOCK_ROLLOVER: rides.flagged(CLOCK_ROLLOVER) > 0,
+        STAMPS_SHARED: rides.flagged("stamp_shared") > MOST_SHARED * rides.amount("samples"),
     }
     scale = np.where(rides.at_last("speed_scale") > 0.0, rides.at_last("speed_scale"), 1.0)
     for factor in np.unique(scale[scale != 1.0]).tolist():
@@ -53,11 +51,6 @@ def count_faults(rides: Totals, lane_names: list[str]) -> LoggerFaults:
         for name, where in found.items()
         if where.any()
     }
-
-
-def _count_bits(rides: Totals, cause: str) -> Floats:
-    """Return the number of samples of each ride with a quality bit."""
-    return rides.quality[:, CAUSES.index(cause)]
 
 
 def add_faults(total: LoggerFaults, more: Mapping[str, Mapping[str, int]]) -> None:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC, POWER_SPREAD
-from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import GRAVITY, JOULES_PER_KWH
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.catalogue import BOUNDS
@@ -98,16 +97,10 @@ def measure_by_power(totals: Totals, cars: Cars) -> tuple[Floats, Floats]:
     hold mean powers.
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
-    share = _metered_share(totals)
+    share = totals.share("metered")
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= METERED_SHARE)
     sampled = np.sqrt(_estimate_variance(totals, cars)) / JOULES_PER_KWH
     return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + _cut(totals, whole) ** 2)
-
-
-def _metered_share(totals: Totals) -> Floats:
-    """Return the share of the duration for which V·I is known, (n,). [1]"""
-    duration = totals.amount("duration")
-    return np.divide(totals.amount("metered"), duration, out=np.zeros(len(duration)), where=duration > 0.0)
 
 
 def _expect_variance(totals: Totals, cars: Cars) -> tuple[Floats, NDArray[np.bool_]]:
@@ -122,7 +115,7 @@ def _expect_variance(totals: Totals, cars: Cars) -> tuple[Floats, NDArray[np.boo
     step = np.maximum(duration / np.maximum(samples, 1.0), SLOW)
     a = step / CORRELATION_TIME
     per_time = POWER_SPREAD**2 * step * (1.0 / np.tanh(0.5 * a) - 2.0 / a)
-    of_moments = cars.power_span[totals.at_last("kind").astype(np.int64)] == 0.0
+    of_moments = cars.power_span[totals.kinds] == 0.0
     return per_time * duration, (samples > 0.0) & (step > SLOW) & of_moments
 
 
@@ -149,12 +142,12 @@ def _cut(totals: Totals, energy: Floats) -> Floats:
 
 def find_inverted(totals: Totals) -> NDArray[np.bool_]:
     """Return where the current had the wrong sign in at least one sample."""
-    return np.asarray(totals.quality[:, CAUSES.index("current_inverted")] > 0.0)
+    return np.asarray(totals.flagged("current_inverted") > 0.0)
 
 
 def _is_impossible(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     """Return where more energy returned to the battery than the car can have had from its descent and its motion."""
-    kinds = totals.at_last("kind").astype(np.int64)
+    kinds = totals.kinds
     mass = replace_nan(cars.parameters_of(kinds).mass_kg, HEAVY)
     descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
     most = mass * (GRAVITY * descent + 0.5 * FASTEST**2) / JOULES_PER_KWH
@@ -241,13 +234,12 @@ def find_soc_faults(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
 
 def is_only_stale(totals: Totals) -> NDArray[np.bool_]:
     """Return where a stale state of charge, and no other fault of it, was reported, (n,)."""
-    count = totals.quality[:, [CAUSES.index(name) for name in ("soc_jump", "soc_frozen", "soc_stale")]]
-    return np.asarray((count[:, 2] > 0.0) & (count[:, :2].sum(axis=1) == 0.0))
+    return (totals.flagged("soc_stale") > 0.0) & (totals.flagged("soc_jump") + totals.flagged("soc_frozen") == 0.0)
 
 
 def _unmoved(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     """Return where the charge is the same at both ends of a distance that takes several quanta."""
-    kinds = totals.at_last("kind").astype(np.int64)
+    kinds = totals.kinds
     descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
     fallen = cars.parameters_of(kinds).mass_kg * GRAVITY * descent / JOULES_PER_KWH / cars.capacity[kinds]
     used = LEAST_CONSUMPTION * totals.amount("distance") * 1e-3 - replace_nan(fallen)
@@ -276,7 +268,7 @@ def _is_finer(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     expected, slow = _expect_variance(totals, cars)
     display = totals.display
     of_soc = (find_quantum(totals) ** 2 / 6.0 + display["reading_variance"]) / display["inverse"] ** 2
-    has_period = cars.period[totals.at_last("kind").astype(np.int64)] != 0.0
+    has_period = cars.period[totals.kinds] != 0.0
     return slow & has_period & (of_soc < expected / JOULES_PER_KWH**2)
 
 
@@ -288,7 +280,7 @@ def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
     (n,) float
         `BATTERIES` capacities, and as many again in each hour of a ride with charging. [kWh]
     """
-    capacity = replace_nan(cars.capacity[totals.at_last("kind").astype(np.int64)], LARGEST_BATTERY)
+    capacity = replace_nan(cars.capacity[totals.kinds], LARGEST_BATTERY)
     duration = totals.amount("duration")
     charged = totals.at_last("since_charge") < duration
     return BATTERIES * capacity * np.where(charged, 1.0 + duration / 3600.0, 1.0)
@@ -296,23 +288,19 @@ def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
 
 def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:
     """Return why the measured energy of rides makes them unfit for training; a later reason outranks earlier ones."""
-    unmeasured = measure_energy(totals, cars).source == NO_SOURCE
+    source = measure_energy(totals, cars).source
+    unmeasured, by_power = source == NO_SOURCE, source == BY_POWER
     reported = unmeasured & ~np.isnan(totals.at_last("soc"))
-    by_power = ~unmeasured & (measure_energy(totals, cars).source == BY_POWER)
-    stale = totals.quality[:, CAUSES.index("soc_stale")] > 0.0
-    jumped = totals.quality[:, CAUSES.index("soc_jump")] > 0.0
-    frozen = (totals.quality[:, CAUSES.index("soc_frozen")] > 0.0) | _unmoved(totals, cars)
-    frozen_power = totals.quality[:, CAUSES.index("power_frozen")]
-    unknown = np.isnan(cars.capacity[totals.at_last("kind").astype(np.int64)])
+    frozen = (totals.flagged("soc_frozen") > 0.0) | _unmoved(totals, cars)
     return (
         ("contradictory_energy", totals.display["contradicted"] > 0.0),
-        ("power_missing", by_power & (_metered_share(totals) < TRAINING_SHARE)),
-        ("power_frozen", by_power & (frozen_power > MOST_FROZEN * totals.amount("samples"))),
+        ("power_missing", by_power & (totals.share("metered") < TRAINING_SHARE)),
+        ("power_frozen", by_power & (totals.flagged("power_frozen") > MOST_FROZEN * totals.amount("samples"))),
         ("no_measured_energy", unmeasured),
-        ("soc_jump", reported & jumped),
+        ("soc_jump", reported & (totals.flagged("soc_jump") > 0.0)),
         ("soc_frozen", reported & frozen),
-        ("soc_stale", reported & stale),
-        ("unknown_capacity", reported & unknown),
+        ("soc_stale", reported & (totals.flagged("soc_stale") > 0.0)),
+        ("unknown_capacity", reported & np.isnan(cars.capacity[totals.kinds])),
         ("impossible_energy", by_power & _is_impossible(totals, cars)),
         ("current_inverted", find_inverted(totals)),
     )

@@ -44,7 +44,7 @@ class RunCounters:
         """Count rides that have ended."""
         if not len(rides.lane):
             return
-        kinds = rides.at_last("kind").astype(np.int64).tolist()
+        kinds = rides.kinds.tolist()
         self.rides += len(rides.lane)
         self.unfit.update(reason for reason in unfit_reason(rides, context).tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)

@@ -7,6 +7,7 @@ the parameters of the car), for forecasts.
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -71,7 +72,7 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     first, cars = len(AMOUNTS), context.cars
     effects = enumerate(context.effects)
     columns = {f"effect_{name}": totals.amounts[:, first + i] / JOULES_PER_KWH for i, name in effects}
-    kinds = totals.at_last("kind").astype(np.int64)
+    kinds = totals.kinds
     columns |= cars.parameters_of(kinds)._asdict()
     if all(name in columns for name in needs):
         return columns
@@ -99,7 +100,7 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     """
     cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
-    rejected = _share(totals, "speed_rejected")
+    rejected = totals.share("speed_rejected")
     reason = np.full(len(duration), None, dtype=object)
     for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", find_lost_time(totals) > CUT * duration),
@@ -109,8 +110,8 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
         ("bridge_unmeasured", totals.amount("unseen") > MOST_UNMEASURED * duration),
         ("clock_unsettled", totals.amount("mistimed") > MOST_MISTIMED * duration),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
-        ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
-        ("speed_missing", rejected + _share(totals, "speed_missing") > MOST_REJECTED),
+        ("distance_bridged", totals.share("bridged", "distance") > MOST_BRIDGED),
+        ("speed_missing", rejected + totals.share("speed_missing") > MOST_REJECTED),
         ("speed_rejected", rejected > MOST_REJECTED),
         ("too_short", duration < settings.shortest_ride),
         ("too_long", duration > settings.longest_ride),
@@ -141,25 +142,14 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
     return (winter & known).astype(np.int64)
 
 
-def _share(totals: Totals, name: str, whole: str = "duration") -> Floats:
-    """Return a summed amount over that of the whole, 0 where the whole is zero. [1]"""
-    over = totals.amount(whole)
-    return np.divide(totals.amount(name), over, out=np.zeros(len(over)), where=over > 0.0)
-
-
-def _mean(totals: Totals, name: str, time: str = "duration") -> Floats:
-    """Return the time average of a summed amount, NaN where the time is zero."""
-    over = totals.amount(time)
-    return np.divide(totals.amount(name), over, out=np.full(len(over), np.nan), where=over > 0.0)
-
-
 def _physical(totals: Totals, measured: MeasuredEnergy, cars: Cars) -> dict[str, Floats]:
     """Return the columns that rides and windows share, without effects and parameters of cars."""
     energy_vi, energy_vi_sd = measure_by_power(totals, cars)
     energy_soc, energy_soc_sd = measure_by_soc(totals)
     capacity, capacity_sd = find_usable_capacity(totals)
-    speed = _mean(totals, "distance")
-    direction = np.degrees(np.arctan2(_mean(totals, "wind_east"), _mean(totals, "wind_north"))) % 360.0
+    mean = partial(totals.share, otherwise=np.nan)
+    speed = mean("distance")
+    direction = np.degrees(np.arctan2(mean("wind_east"), mean("wind_north"))) % 360.0
     windy = (totals.amount("wind_north") != 0.0) | (totals.amount("wind_east") != 0.0)
     columns = {
         "start_s": totals.at_first("time"),
@@ -171,17 +161,17 @@ def _physical(totals: Totals, measured: MeasuredEnergy, cars: Cars) -> dict[str,
         "lost_m": totals.amount("lost"),
         "gained_causal_m": totals.amount("gained_causal"),
         "lost_causal_m": totals.amount("lost_causal"),
-        "ambient_c": _mean(totals, "ambient") - ZERO_CELSIUS,
-        "wind_speed_kmh": _mean(totals, "wind", "wind_known") / KMH,
+        "ambient_c": mean("ambient") - ZERO_CELSIUS,
+        "wind_speed_kmh": mean("wind", "wind_known") / KMH,
         "wind_from_deg": np.where(windy, direction, np.nan),
-        "precipitation_mm_h": _mean(totals, "precipitation") * 3.6e6,
+        "precipitation_mm_h": mean("precipitation") * 3.6e6,
         "hvac_kwh": np.where(totals.amount("hvac_known") > 0.0, totals.amount("hvac") / JOULES_PER_KWH, np.nan),
         "stops": totals.amount("stops"),
         "unresolved_braking_kwh": totals.amount("unresolved_braking") / JOULES_PER_KWH,
         "samples": totals.amount("samples"),
-        "rejected_speed_share": _share(totals, "speed_rejected"),
-        "missing_speed_share": _share(totals, "speed_missing"),
-        "bridged_distance_share": _share(totals, "bridged", "distance"),
+        "rejected_speed_share": totals.share("speed_rejected"),
+        "missing_speed_share": totals.share("speed_missing"),
+        "bridged_distance_share": totals.share("bridged", "distance"),
         "soc_start_pct": totals.at_first("soc") * 100.0,
         "soc_end_pct": totals.at_last("soc") * 100.0,
         "battery_temperature_c": totals.at_first("battery_temperature") - ZERO_CELSIUS,
@@ -210,7 +200,7 @@ def _physical(totals: Totals, measured: MeasuredEnergy, cars: Cars) -> dict[str,
 
 def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
     """Return the window table, with one row per window."""
-    kinds = totals.at_last("kind").astype(np.int64)
+    kinds = totals.kinds
     measured = measure_energy(totals, context.cars)
     own = {
         "ride_key": text(_ride_keys(totals, context.vehicle_ids)),
@@ -238,7 +228,7 @@ def tabulate_rides(
     """
     measured = measure_energy(totals, context.cars)
     physical = _physical(totals, measured, context.cars)
-    kinds = totals.at_last("kind").astype(np.int64)
+    kinds = totals.kinds
     keys = _ride_keys(totals, context.vehicle_ids)
     start = physical["start_s"]
     winter = is_winter(start)

@@ -123,7 +123,7 @@ class Ride(Wire):
 class Leg(Wire):
     """Leg of a plan: a ride, or a charge with `charge_to_soc_pct` in place of the distance.
 
-    `socast.core.forecast.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
+    `socast.core.wire.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
     """
 
     distance_km: Annotated[float | None, means("Distance of a ride. [km]")] = None
@@ -194,7 +194,7 @@ class Forecast(Wire, omit_defaults=False):
     """Forecast for a vehicle, published by the consumer: `fleet/{vehicle_id}/forecast`."""
 
     # A further output is declared here with a default, so that forecasts of earlier versions can be read, and computed
-    # as a column of `socast.core.forecast.forecast_rows.ForecastRows`. The state, the terminal, the board of the
+    # as a column of `socast.core.forecast.forecast_rows.FORECAST_ROW`. The state, the terminal, the board of the
     # workbench and the pages of reference derive it; the table of outlooks and log lines name their fields.
     vehicle_id: Annotated[str, means("Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, means("Repaired time of the newest sample. [Unix s]")]
@@ -457,22 +457,18 @@ def address(key: str) -> Address | None:
     >>> address("fleet/taxi-7/lunch") is None
     True
     """
-    chunks = key.split("/")
-    if len(chunks) >= 2 and chunks[-2] == "weather" and IDENTITY.fullmatch(chunks[-1]):
-        return Address("weather", chunks[-1])
-    is_of_fleet = len(chunks) >= 3 and chunks[-3] == "fleet" and (chunks[-1] in OF_VEHICLES or chunks[-1] == BATCH)
-    if is_of_fleet and IDENTITY.fullmatch(chunks[-2]):
-        return Address(chunks[-1], chunks[-2])
-    if (
-        len(chunks) >= 4
-        and chunks[-4] == "models"
-        and chunks[-1] == "errors"
-        and all(map(IDENTITY.fullmatch, chunks[-3:-1]))
-    ):
-        return Address("errors", "/".join(chunks[-3:-1]))
-    if len(chunks) >= 3 and chunks[-3] == "findings" and all(map(IDENTITY.fullmatch, chunks[-2:])):
-        return Address("finding", "/".join(chunks[-2:]))
-    return None
+    match key.split("/"):
+        case [*_, "weather", station]:
+            found = Address("weather", station)
+        case [*_, "fleet", vehicle, kind] if kind in OF_VEHICLES or kind == BATCH:
+            found = Address(kind, vehicle)
+        case [*_, "models", name, version, "errors"]:
+            found = Address("errors", f"{name}/{version}")
+        case [*_, "findings", who, effect]:
+            found = Address("finding", f"{who}/{effect}")
+        case _:
+            return None
+    return found if all(map(IDENTITY.fullmatch, found.identity.split("/"))) else None
 
 
 def encode(value: Wire) -> bytes:

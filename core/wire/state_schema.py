@@ -83,20 +83,6 @@ class Row:
             part.check(each, sizes)
 
 
-class Named:
-    """Require a mapping of these parts."""
-
-    def __init__(self, **parts: Schema) -> None:
-        self.parts = parts
-
-    def check(self, value: Any, sizes: Sizes) -> None:
-        """Raise `Fault` if a value is no such mapping."""
-        if not isinstance(value, dict) or value.keys() != self.parts.keys():
-            raise Fault(f"{_shorten(value)} is not a mapping of {', '.join(self.parts)}")
-        for name, part in self.parts.items():
-            part.check(value[name], sizes)
-
-
 @dataclass(frozen=True)
 class Many:
     """Require a list of equal parts: `count` of them, which may be the name of a size, or a row for each lane.

@@ -4,9 +4,9 @@ import re
 import runpy
 
 from socast.core.effects import Effect, check_effect
-from socast.core.forecast.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
 from socast.core.forecast.plan_tracker import LONGEST_SHIFT
 from socast.core.wire.messages import KINDS, OF_VEHICLES, LegOutlook, Outlook, Wire
+from socast.core.wire.plan_checks import FASTEST_KMH, LEG_LIMITS, MOST_LEGS, PAST_S
 from tests.support.pages import blocks
 from tests.support.paths import ROOT
 

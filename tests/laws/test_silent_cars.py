@@ -60,7 +60,7 @@ def test_silent_car_is_forgotten_by_every_component():
     parts = (
         pipeline.totals.cleaner.state,
         pipeline.engine.state,
-        pipeline.engine.log._next,
+        pipeline.engine.log._times,
         pipeline.totals.accumulator._open,
     )
     assert max(map(len, parts)) <= 2 * lanes

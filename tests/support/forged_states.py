@@ -19,7 +19,7 @@ from socast.core.errors import SocastError
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.snapshot import SCHEMAS
-from socast.core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Row, Schema
+from socast.core.wire.state_schema import Anything, ByName, Many, Maybe, Row, Schema
 from socast.stream.mcap_reader import McapSource
 from tests.support.paths import ROOT
 
@@ -74,8 +74,6 @@ def find_parts(schema: Schema, value: Any, places: int, path: Path = ()) -> Iter
     match schema:
         case Row(parts=parts) if value is not None:
             below = list(enumerate(parts))
-        case Named(parts=parts) if value is not None:
-            below = list(parts.items())
         case Many(part=part) | ByName(part=part) if value is not None:
             below = [(place, part) for place in _choose(value, places)]
         case Anything() if isinstance(value, dict | list):

@@ -5,8 +5,8 @@ from typing import Any
 import msgspec
 
 from socast.core.errors import AskError
-from socast.core.forecast.plan_checks import find_refusal
 from socast.core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
+from socast.core.wire.plan_checks import find_refusal
 
 NOW = 1_705_320_000.0
 """Time of the newest sample of every car. [s]"""

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
-from socast.core.forecast.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
 from socast.core.formatting import format_count
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
+from socast.core.wire.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json

@@ -22,7 +22,7 @@ from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
 from socast.stream.idle_keys import IdleKeys
 from socast.stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
-from socast.stream.query_service import QueryService, QuerySource
+from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
 from socast.stream.recording_metadata import list_changed_settings
 from socast.stream.service_monitor import ServiceMonitor
@@ -305,7 +305,7 @@ def _refuse_other_shard(options: LiveOptions, pipeline: Pipeline) -> None:
 
 def _open_outputs(
     node: Node, ending: ExitStack, role: Standby | None, limits: Limits
-) -> tuple[QuerySource, Sink, list[Watch]]:
+) -> tuple[ZenohQueryable | StandbyQueryable, Sink, list[Watch]]:
     """Return the source of queries, the sink of what is published, and what the loop calls for them."""
     idle_s = limits.silent_days * SECONDS_PER_DAY
     publisher = ZenohSink(node, keys=IdleKeys(idle_s))

@@ -46,15 +46,7 @@ DRIVERS_PER_CAR: Final = 8
 
 
 class ShiftPattern(NamedTuple):
-    """Hold the duration and the intensity of a shift.
-
-    Parameters
-    ----------
-    hours : float
-        Duration. [h]
-    relative_power : float
-        Predicted energy of the shift over the usual energy of as many hours. [1]
-    """
+    """Hold the duration [h] of a shift, and its predicted energy over the usual energy of as many hours [1]."""
 
     hours: float
     relative_power: float
@@ -114,10 +106,7 @@ class ConsumptionFactors:
     ) -> None:
         """Update the parts of a car, its driver and the cold by a shift.
 
-        Parameters
-        ----------
-        weight : float
-            Of the shift for the part of the cold, as the shifts of a day share much else. [1]
+        `weight` is that of the shift for the part of the cold, as the shifts of a day share much else. [1]
         """
         if not (predicted_kwh > 0.0 and used_kwh > 0.0 and abs(log(used_kwh / predicted_kwh)) < LARGEST_LOG_ERROR):
             return
@@ -177,13 +166,7 @@ def _update_part(part: LogFactor, residual: float, total: float, sd: float, shif
 
 
 def age_variance(variance: float, sd: float, shifts: int) -> float:
-    """Return a variance one shift later.
-
-    Parameters
-    ----------
-    sd : float
-        Standard deviation of the change in `shifts` shifts, and the root of the largest variance.
-    """
+    """Return a variance after a shift, of what changes by `sd` in a number of shifts; it is at most `sd` squared."""
     return min(variance + sd**2 / shifts, sd**2)
 
 

@@ -39,14 +39,9 @@ class ChargedSoc:
 
     Attributes
     ----------
-    coefficients : (2,) float
-        Offset and slope. [1]
-    covariance : (2, 2) float
-        Of both.
-    variance : float
-        Of the noise. [1]
-    today : DaySums
-        Of charges since the last daily update: number, and sums of x, x^2, y, x y and y^2.
+    coefficients, covariance : Offset and slope, and their covariance, (2,) and (2, 2) float. [1]
+    variance : Variance of the noise. [1]
+    today : Since the last daily update: number of charges, and sums of x, x^2, y, x y and y^2.
     """
 
     def __init__(self) -> None:

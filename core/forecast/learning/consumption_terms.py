@@ -41,25 +41,11 @@ WARM_UP_DECAY: Final = 900.0
 LEAST_KM: Final = 1e-9
 """A shorter distance is none; the time per kilometre would overflow. [km]"""
 
-KM: Final = 0
-"""Place of the kilometres among the amounts. [km]"""
-STOPS: Final = KM + 1
-"""Place of the kilometres times the share of stops that their speed lets expect. [km]"""
-FAST: Final = KM + 2
-"""Place of the kilometres times the mean square of the speed over that at `REFERENCE_SPEED`. [km]"""
-DRIVING: Final = KM + 3
-"""Place of the hours of driving. [h]"""
-WAITING: Final = KM + 4
-"""Place of the hours of waiting. [h]"""
-GAINED: Final = KM + 5
-"""Place of the metres climbed. [m]"""
-LOST: Final = KM + 6
-"""Place of the metres descended. [m]"""
-START: Final = KM + 7
-"""Place of the beginnings of rides. [1]"""
-WARM_UP: Final = KM + 8
-"""Place of the share of the warm-up of the shift. [1]"""
-STRETCH_AMOUNTS: Final = KM + 9
+KM, STOPS, FAST, DRIVING, WAITING, GAINED, LOST, START, WARM_UP = range(9)
+"""Places of the amounts of a stretch: kilometres; those times the share of stops that their speed lets expect; those
+times the mean square of the speed over that at `REFERENCE_SPEED` [km]; hours of driving and of waiting [h]; metres
+climbed and descended [m]; beginnings of rides [1]; share of the warm-up of the shift [1]."""
+STRETCH_AMOUNTS: Final = 9
 """Number of amounts of a stretch."""
 
 DRIVING_SHARE: Final = 0.75
@@ -89,47 +75,34 @@ class CoefficientPrior(NamedTuple):
     sd: Floats
 
 
-def _split_climate() -> tuple[Floats, Floats]:
-    """Return the power of heating and of cooling of the reference car at each knot of temperature. [kW]"""
-    power = (ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) - ACCESSORIES.standby) / 1000.0
-    cold = ACCESSORIES.cooling_on > TEMPERATURES + ZERO_CELSIUS
-    return np.where(cold, power, 0.0), np.where(cold, 0.0, power)
-
-
-_HEATING, _COOLING = _split_climate()
 _COLD: Final = np.maximum(COLD_BELOW - TEMPERATURES, 0.0)
-_AWAKE: Final = [DRIVING, WAITING]
-
-
-def _build_terms() -> tuple[tuple[str, ...], Floats]:
-    """Return the name of each term, and what each amount contributes to it at each knot of temperature."""
-    terms: list[tuple[str, Floats]] = []
-
-    def add(name: str, places: Any, by_temperature: Floats | float = 1.0) -> None:
-        term = np.zeros((len(TEMPERATURES), STRETCH_AMOUNTS))
-        term[:, places] = np.broadcast_to(by_temperature, len(TEMPERATURES))[:, np.newaxis]
-        terms.append((name, term))
-
-    add("level", [KM])
-    add("stops", [STOPS])
-    add("cold", [KM], _COLD)
-    add("fast", [FAST])
-    add("driving", [DRIVING])
-    add("waiting", [WAITING])
-    add("heating", _AWAKE, _HEATING)
-    add("cooling", _AWAKE, _COOLING)
-    add("heating_waiting", [WAITING], _HEATING)
-    add("gained", [GAINED])
-    add("lost", [LOST])
-    add("start", [START])
-    add("start_heating", [START], _HEATING)
-    add("warm_up", [WARM_UP])
-    add("warm_up_heating", [WARM_UP], _HEATING)
-    return tuple(name for name, _ in terms), np.stack([term for _, term in terms], axis=-1)
-
-
-TERMS, EXPANSION = _build_terms()
-"""Name of each term, and what an amount of a stretch contributes to it, (temperatures, amounts, terms) float."""
+_CLIMATE: Final = (ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) - ACCESSORIES.standby) / 1000.0  # [kW]
+_HEATS: Final = ACCESSORIES.cooling_on > TEMPERATURES + ZERO_CELSIUS
+_HEATING, _COOLING = np.where(_HEATS, _CLIMATE, 0.0), np.where(_HEATS, 0.0, _CLIMATE)
+_CONTRIBUTIONS: Final[dict[str, tuple[list[int], Floats | float]]] = {
+    "level": ([KM], 1.0),
+    "stops": ([STOPS], 1.0),
+    "cold": ([KM], _COLD),
+    "fast": ([FAST], 1.0),
+    "driving": ([DRIVING], 1.0),
+    "waiting": ([WAITING], 1.0),
+    "heating": ([DRIVING, WAITING], _HEATING),
+    "cooling": ([DRIVING, WAITING], _COOLING),
+    "heating_waiting": ([WAITING], _HEATING),
+    "gained": ([GAINED], 1.0),
+    "lost": ([LOST], 1.0),
+    "start": ([START], 1.0),
+    "start_heating": ([START], _HEATING),
+    "warm_up": ([WARM_UP], 1.0),
+    "warm_up_heating": ([WARM_UP], _HEATING),
+}
+"""Name of each term -> the amounts that contribute to it, and how much at each knot of temperature."""
+TERMS: Final = tuple(_CONTRIBUTIONS)
+"""Names of the terms."""
+EXPANSION: Final = np.zeros((len(TEMPERATURES), STRETCH_AMOUNTS, len(TERMS)))
+"""What an amount of a stretch contributes to each term, (temperatures, amounts, terms) float."""
+for _term, (_places, _by_temperature) in enumerate(_CONTRIBUTIONS.values()):
+    EXPANSION[:, _places, _term] = np.broadcast_to(_by_temperature, len(TEMPERATURES))[:, np.newaxis]
 
 
 def compute_warm_up_left(awake_s: Floats) -> Floats:
@@ -204,14 +177,9 @@ def compute_stretch_amounts(riding: Any, km: Any, hours: Any, gained: Any, lost:
 
 @njit(cache=True)
 def predict_energy(amounts: Any, kinds: Any, weights: Any, rates: Any, out: Any) -> None:
-    """Write the energy of stretches of these amounts. [kWh]
+    """Write the energy of stretches. [kWh]
 
-    Parameters
-    ----------
-    weights : (n, temperatures) float
-        Weights of the knots of temperature. [1]
-    rates : (kinds, temperatures, amounts) float
-        Energy of each amount at each knot. [kWh per amount]
+    Units: rates [kWh per amount] by kind of car and temperature, weights [1] by temperature.
     """
     for i in range(len(kinds)):
         energy = 0.0
@@ -225,12 +193,7 @@ def predict_energy(amounts: Any, kinds: Any, weights: Any, rates: Any, out: Any)
 
 
 def compute_knot_weights(values: Floats, knots: Floats) -> Floats:
-    """Return the weights of linear interpolation between knots.
-
-    Returns
-    -------
-    (n, knots) float
-        They add up to 1. Beyond the last knot, that knot has all the weight.
+    """Return the weights of linear interpolation between knots, (n, knots); beyond the last knot, that has all of it.
 
     Examples
     --------

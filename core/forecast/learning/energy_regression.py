@@ -71,14 +71,9 @@ class StretchRows(NamedTuple):
 
     Parameters
     ----------
-    lane : (n,) int
-    riding : (n,) bool
-        Whether it is a ride.
-    amounts : (n, amounts) float
-    weights : (n, temperatures) float
-        Weights of the knots of temperature. [1]
-    energy, sd : (n,) float
-        Measured energy and its standard uncertainty, NaN where unknown. [kWh]
+    riding : Whether it is a ride, (n,) bool.
+    amounts, weights : Amounts, and weights of the knots of temperature [1], (n, amounts) and (n, temperatures) float.
+    energy, sd : Measured energy and its standard uncertainty, NaN where unknown, (n,) float. [kWh]
     """
 
     lane: Ints
@@ -141,8 +136,7 @@ class ModelSums:
         """Let the rows of the day take effect."""
         if not self.today.get("counts").any():
             return
-        for name in ("matrix", "right", "terms", "rides", "idle", "counts"):
-            self.known.add(name, self.today.get(name) - (1.0 - DAY_MEMORY) * self.known.get(name))
+        self.known.age(DAY_MEMORY, self.today)
         self.forget_day()
         before, terms = self.mean, self.known.get("terms")
         self.mean = self.solve(prior)[0]

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, grown, replace_nan, take_lanes
+from socast.core.batch import Floats, Ints, Stateful, grown, replace_nan, take_lanes
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
@@ -50,7 +50,16 @@ LONGEST_GAP: Final = 60.0
 """Time that may be missing in an idle period that counts. [s]"""
 SHIFT_PATTERN: Final = np.dtype([("hours", "f8"), ("relative_power", "f8")])
 """Usual duration [h] and intensity [1] of a car's shifts, NaN where too few are known."""
-_KNOTS: Final = len(TEMPERATURES)
+_USUAL: Final = (
+    *("standing_power", "approach_energy", "warm_up_energy", "energy_per_km", "mean_power", "driving_energy_per_km"),
+)
+"""What `LegEnergyTables` hold at each temperature, and `UsualConsumption` at that of a row."""
+_STACKED: Final[dict[str, tuple[int, ...]]] = {
+    **dict.fromkeys((*_USUAL, "ride_pace", "level", "level_sd"), ()),
+    "rates": (STRETCH_AMOUNTS,),
+    "parts_covariance": (2, 2),
+}
+"""What is looked up in `LegEnergyTables` of many cars -> its shape at each temperature."""
 
 
 class ShiftEnergy(NamedTuple):
@@ -58,20 +67,13 @@ class ShiftEnergy(NamedTuple):
 
     Parameters
     ----------
-    driver : int or None
-        Code of the only driver, None where unknown or more than one.
-    predicted_kwh, used_kwh : float
-        Energy as predicted, and by the charge. [kWh]
-    capacity_kwh : float
-        Nominal usable capacity. [kWh]
-    model : str
-        Vehicle model, empty where it is unknown.
-    level : float
-        Level of the tables that predicted it, see `LegEnergyTables`. [1]
-    ambient_c : float
-        Mean outside temperature. [°C]
-    hours : float
-        Duration. [h]
+    driver : Code of the only driver, None where unknown or more than one.
+    predicted_kwh, used_kwh : Energy as predicted, and by the charge. [kWh]
+    capacity_kwh : Nominal usable capacity. [kWh]
+    model : Vehicle model, empty where it is unknown.
+    level : Level of the tables that predicted it, see `LegEnergyTables`. [1]
+    ambient_c : Mean outside temperature. [°C]
+    hours : Duration. [h]
     """
 
     lane: int
@@ -83,23 +85,6 @@ class ShiftEnergy(NamedTuple):
     level: float
     ambient_c: float
     hours: float
-
-
-class StretchEnergies(NamedTuple):
-    """Hold the energies of n rides or idle periods so far by the tables, (n,) float each.
-
-    Parameters
-    ----------
-    energy : Energy without the warm-up of the shift. [kWh]
-    warm_up : Energy of the whole warm-up. [kWh]
-    level : Level of the tables, see `LegEnergyTables`. [1]
-    level_sd : Relative standard deviation of the energy of the usual mix. [1]
-    """
-
-    energy: Floats
-    warm_up: Floats
-    level: Floats
-    level_sd: Floats
 
 
 class FleetStatistics:
@@ -122,7 +107,7 @@ class FleetStatistics:
         self._patterns = np.zeros(0, SHIFT_PATTERN)
         self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
-        self._rows = _stack_tables(self._tables)
+        self._stacked = _stack_tables(self._tables)
 
     def grow(self, lanes: int) -> None:
         """Make room for a number of lanes."""
@@ -134,10 +119,7 @@ class FleetStatistics:
     def add_stretches(self, rides: Totals, idle: Totals, begin: Floats) -> None:
         """Add rides and idle periods that have ended, in their order, if they are representative.
 
-        Parameters
-        ----------
-        begin : (n,) float
-            When the shifts of the rides, and then of the idle periods, began. [s]
+        Units: begin [s] of the shifts of the rides, and then of the idle periods.
         """
         parts = [self._find_fit_rides(rides, begin[: len(rides.lane)]), self._find_fit_idle_periods(idle)]
         both = join_totals((rides, idle), rides)
@@ -170,10 +152,7 @@ class FleetStatistics:
             self.interval_outcomes[each.basis] += each.outcomes
 
     def add_shift(self, energy: ShiftEnergy) -> None:
-        """Add a shift that has ended.
-
-        The consumption factors wait for the daily update, because they are read when a driver is named.
-        """
+        """Add a shift that has ended, for the daily update: consumption factors are read when a driver is named."""
         self._shifts.append(energy)
 
     def apply_daily_update(self) -> None:
@@ -181,10 +160,8 @@ class FleetStatistics:
         self.energies.apply_daily_update(self._find_prior)
         self._tables = []
         self._learn_shifts()
-        self.conformal.apply_daily_update()
-        self.daily_cycle.apply_daily_update()
-        self.charged_soc.apply_daily_update()
-        self.plan_outcomes.apply_daily_update()
+        for part in (self.conformal, self.daily_cycle, self.charged_soc, self.plan_outcomes):
+            part.apply_daily_update()
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
@@ -197,7 +174,7 @@ class FleetStatistics:
         kinds = self._cars.of_lane[[energy.lane for energy in self._shifts]]
         ambient = np.array([energy.ambient_c for energy in self._shifts]) + ZERO_CELSIUS
         weights = compute_temperature_weights(ambient)
-        power = np.einsum("ij,ij->i", self._rows.mean_power[kinds], weights).tolist()
+        power = np.einsum("ij,ij->i", self._stacked["mean_power"][kinds], weights).tolist()
         weight = weigh_day(len(self._shifts))
         for energy, usual_kw in zip(self._shifts, power, strict=True):
             # what the tables have learned of the level since is not learned of the car as well
@@ -215,40 +192,37 @@ class FleetStatistics:
         self._update_kinds()
         return self._tables[kind]
 
-    def predict_energies(self, totals: Totals, weights: Floats) -> StretchEnergies:
-        """Return the energies of rides and idle periods so far by the tables, NaN of unknown vehicle models."""
+    def predict_energies(self, totals: Totals, weights: Floats, out: NDArray[np.void]) -> None:
+        """Write the energies of rides and idle periods so far by the tables, NaN of unknown vehicle models, to events.
+
+        Units: weights [1] of the knots of temperature.
+        """
         self._update_kinds()
-        kinds, energy = totals.at_last("kind").astype(np.int64), np.empty(len(weights))
-        predict_energy(_compute_amounts(totals), kinds, weights, self._rows.rates, energy)
-        warm_up, level_sd = (
-            np.asarray(np.einsum("ij,ij->i", table[kinds], weights))
-            for table in (self._rows.warm_up_energy, self._rows.level_sd)
-        )
-        return StretchEnergies(energy, warm_up, self._rows.level[kinds, 0], level_sd)
+        kinds, energy = totals.kinds, np.empty(len(weights))
+        predict_energy(_compute_amounts(totals), kinds, weights, self._stacked["rates"], energy)
+        out["predicted"], out["level"] = energy, self._stacked["level"][kinds, 0]
+        out["warm_up"] = self._interpolate("warm_up_energy", kinds, weights)
+        out["level_sd"] = self._interpolate("level_sd", kinds, weights)
 
     def compute_usual(self, kinds: Ints, weights: Floats, awake_s: Floats) -> UsualConsumption:
         """Return the usual consumption of cars at the temperature of each row, some time after they woke. [s]"""
         self._update_kinds()
-
-        def interpolate(table: Floats) -> Floats:
-            return np.asarray(np.einsum("ij,ij->i", table[kinds], weights))
-
+        usual = {name: self._interpolate(name, kinds, weights) for name in _USUAL}
+        usual["warm_up_energy"] = usual["warm_up_energy"] * compute_warm_up_left(awake_s)
+        usual["ride_pace"] = self._stacked["ride_pace"][kinds, 0]
         plans, n = self.plan_outcomes, len(kinds)
-
         return UsualConsumption(
-            weights=weights,
-            standing_power=interpolate(self._rows.standing_power),
-            approach_energy=interpolate(self._rows.approach_energy),
-            warm_up_energy=interpolate(self._rows.warm_up_energy) * compute_warm_up_left(awake_s),
-            energy_per_km=interpolate(self._rows.energy_per_km),
-            mean_power=interpolate(self._rows.mean_power),
-            driving_energy_per_km=interpolate(self._rows.driving_energy_per_km),
-            ride_pace=self._rows.ride_pace[kinds, 0],
-            covariance=np.asarray(np.einsum("nk,nkpq->npq", weights, self._rows.parts_covariance[kinds])),
+            weights,
+            **usual,
+            covariance=np.asarray(np.einsum("nk,nkpq->npq", weights, self._stacked["parts_covariance"][kinds])),
             plan_factor=np.broadcast_to(plans.factor, (n, 2)),
             plan_covariance=np.broadcast_to(plans.covariance, (n, 2, 2)),
             plan_spread=np.full(n, plans.spread),
         )
+
+    def _interpolate(self, name: str, kinds: Ints, weights: Floats) -> Floats:
+        """Return what the tables of kinds of car hold, at the temperature of each row."""
+        return np.asarray(np.einsum("ij,ij->i", self._stacked[name][kinds], weights))
 
     def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
         """Return the usual duration and intensity of the shifts of cars, (n,) SHIFT_PATTERN."""
@@ -259,7 +233,7 @@ class FleetStatistics:
         first = len(self._tables)
         if first < len(self._cars.models):
             self._tables += [self._make_tables(kind) for kind in range(first, len(self._cars.models))]
-            self._rows = _stack_tables(self._tables)
+            self._stacked = _stack_tables(self._tables)
 
     def _make_tables(self, kind: int) -> LegEnergyTables | None:
         """Return the tables of a kind of car, None for unknown vehicle models."""
@@ -281,7 +255,7 @@ class FleetStatistics:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
         measured = measure_energy(totals, self._cars)
         fit = fit & ~(np.abs(measured.energy) > compute_largest_energy(totals, self._cars))
-        kinds = totals.at_last("kind").astype(np.int64).tolist()
+        kinds = totals.kinds.tolist()
         known = np.array([self._cars.models[kind] is not None for kind in kinds])
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
         if len(which):
@@ -304,22 +278,21 @@ class FleetStatistics:
         self.factors.keep(lanes)
         self.prior, self._patterns = take_lanes(self.prior, lanes), take_lanes(self._patterns, lanes)
 
+    def _get_parts(self) -> tuple[Stateful, ...]:
+        """Return what learns, in the order of the state."""
+        learned = self.energies, self.factors, self.conformal
+        return *learned, self.daily_cycle, self.charged_soc, self.plan_outcomes
+
     def dump(self) -> Any:
         """Return the state as plain values."""
-        learning = self.energies, self.factors, self.conformal
-        parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc, self.plan_outcomes)]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
-        return parts, self._shifts, *arrays
+        return [part.dump() for part in self._get_parts()], self._shifts, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (energies, factors, conformal, daily_cycle, charged, plans), shifts, prior, patterns, outcomes = state
-        self.energies.load(energies)
-        self.factors.load(factors)
-        self.conformal.load(conformal)
-        self.daily_cycle.load(daily_cycle)
-        self.charged_soc.load(charged)
-        self.plan_outcomes.load(plans)
+        parts, shifts, prior, patterns, outcomes = state
+        for part, dumped in zip(self._get_parts(), parts, strict=True):
+            part.load(dumped)
         self._tables = []
         self._shifts = [ShiftEnergy(*each) for each in shifts]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
@@ -327,34 +300,14 @@ class FleetStatistics:
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()
 
 
-class _StackedTables(NamedTuple):
-    """Hold tables by kind of car and temperature, (kinds, temperatures, ...)."""
-
-    rates: Floats
-    standing_power: Floats
-    approach_energy: Floats
-    warm_up_energy: Floats
-    energy_per_km: Floats
-    mean_power: Floats
-    driving_energy_per_km: Floats
-    ride_pace: Floats
-    level_sd: Floats
-    level: Floats
-    parts_covariance: Floats
-
-
-_SHAPES: Final = {"rates": (STRETCH_AMOUNTS,), "parts_covariance": (2, 2)}
-"""Shape of what a table holds at each temperature, where it is not one number."""
-
-
-def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
-    """Return the stacked tables of all kinds of car."""
-    columns = {}
-    for name in _StackedTables._fields:
-        shape = _KNOTS, *_SHAPES.get(name, ())
+def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> dict[str, Floats]:
+    """Return what the tables of all kinds of car hold, by its name, (kinds, temperatures, ...); NaN without tables."""
+    stacked = {}
+    for name, of_knot in _STACKED.items():
+        shape = len(TEMPERATURES), *of_knot
         values = [np.nan if of_kind is None else getattr(of_kind, name) for of_kind in tables]
-        columns[name] = np.array([np.broadcast_to(value, shape) for value in values]).reshape(-1, *shape)
-    return _StackedTables(**columns)
+        stacked[name] = np.array([np.broadcast_to(value, shape) for value in values]).reshape(-1, *shape)
+    return stacked
 
 
 def _compute_amounts(totals: Totals) -> Floats:

@@ -30,22 +30,14 @@ class ForecastRecord(NamedTuple):
 
     Parameters
     ----------
-    time : float
-        When it was made. [s]
-    end : float
-        The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
-    ahead_km : float
-        Distance that the energy ahead would usually drive. [km]
-    ambient_c : float
-        Outside temperature. [°C]
-    mean, sd : float
-        Forecast charge and its standard deviation. [1]
-    lower, upper : float
-        Bounds of the published charge, NaN without an interval. [1]
-    driving, waiting : float
-        Planned energy until then, NaN without a plan and with `OVER_CHARGE`. [kWh]
-    predicted, level : float
-        Energy predicted since the car woke [kWh], and the level of the tables, see `LegEnergyTables` [1].
+    time : When it was made. [s]
+    end : The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
+    ahead_km : Distance that the energy ahead would usually drive. [km]
+    ambient_c : Outside temperature. [°C]
+    mean, sd : Forecast charge and its standard deviation. [1]
+    lower, upper : Bounds of the published charge, NaN without an interval. [1]
+    driving, waiting : Planned energy until then, NaN without a plan and with `OVER_CHARGE`. [kWh]
+    predicted, level : Energy predicted since the car woke [kWh], and the level of `LegEnergyTables` [1].
     """
 
     time: float
@@ -66,6 +58,15 @@ class ForecastRecord(NamedTuple):
 FORECAST_RECORDS: Final = np.dtype([(name, "f8") for name in ForecastRecord._fields])
 """Recorded forecasts as an array."""
 _PACKED: Final = Struct(f"{len(ForecastRecord._fields)}d")
+LANE_TIMES: Final = np.dtype(
+    [
+        ("next", "f8"),  # time of the next record [s]
+        ("ends", "f8"),  # first end of a recorded forecast [s]
+        ("before_charge", "f8"),  # time of the first record with `TO_CHARGE` [s]
+    ]
+)
+"""When a lane's forecasts are recorded and evaluated."""
+_NO_RECORDS: Final = np.array((0.0, np.inf, np.inf), LANE_TIMES)[()]
 
 
 class Outcome(NamedTuple):
@@ -73,12 +74,9 @@ class Outcome(NamedTuple):
 
     Parameters
     ----------
-    soc : float
-        Charge as reported last. [1]
-    charged, faulty : float
-        When the car charged last, and when its reading was faulty last, NaN for never. [s]
-    predicted, level : float
-        Energy predicted since the car woke [kWh], and the level of the tables, see `LegEnergyTables` [1].
+    soc : Charge as reported last. [1]
+    charged, faulty : When the car charged last, and when its reading was faulty last, NaN for never. [s]
+    predicted, level : The same as in `ForecastRecord`.
     """
 
     soc: float
@@ -87,21 +85,21 @@ class Outcome(NamedTuple):
     predicted: float = nan
     level: float = nan
 
+    @classmethod
+    def read(cls, record: NDArray[np.void]) -> "Outcome":
+        """Return the outcome at a FORECAST_ROW or a CLOSED_SHIFT."""
+        return cls(*(float(record[name]) for name in ("last_soc", "charged", "faulty", "awake_predicted", "level")))
+
 
 class ShiftErrors(NamedTuple):
-    """Hold the errors of the n forecasts of one shift with the same basis.
+    """Hold the errors of the n forecasts of one shift with the same basis, (n,) float each.
 
     Parameters
     ----------
-    time : (n,) float
-        When the forecasts were made. [s]
-    ahead_km, ambient_c : (n,) float
-    scores : (n,) float
-        Standardised errors. [1]
-    outcomes : (3,) int
-        Numbers of forecasts with the outcome below, inside and above the published interval.
-    driving, waiting, done : (n,) float
-        Planned energy of driving and of waiting, and the energy of what was done, by the tables. [kWh]
+    time : When the forecasts were made. [s]
+    scores : Standardised errors. [1]
+    outcomes : Numbers of forecasts with the outcome below, inside and above the published interval, (3,) int.
+    driving, waiting, done : Planned energy of driving and of waiting, and that of what was done, by the tables. [kWh]
     """
 
     basis: int
@@ -120,80 +118,71 @@ class ForecastLog:
 
     def __init__(self) -> None:
         self._records: dict[int, bytearray] = {}  # packed `ForecastRecord`s of each lane
-        self._next = np.zeros(0)  # time of the next record of each lane [s]
-        self._ends = np.zeros(0)  # first end of a recorded forecast of each lane [s]
-        self._before_charge = np.zeros(0)  # time of its first record with `TO_CHARGE` [s]
+        self._times = np.zeros(0, LANE_TIMES)
 
     def grow(self, lanes: int) -> None:
         """Make room for a number of lanes."""
-        self._next = grown(self._next, lanes)
-        self._ends = grown(self._ends, lanes, np.inf)
-        self._before_charge = grown(self._before_charge, lanes, np.inf)
+        self._times = grown(self._times, lanes, _NO_RECORDS)
 
     def is_due(self, lane: Any, time: Any, mean: Any = 0.0, arrived: Any = nan) -> Any:
         """Return where a forecast is to be recorded, or a recorded one has come to its end.
 
-        Parameters
-        ----------
-        mean : float or (n,) float
-            Forecast charge, NaN where there is none. [1]
-        arrived : float or (n,) float
-            When the car came to charge last, NaN for never. [s]
+        Units: mean [1], NaN without a forecast; arrived [s] when the car came to charge last, NaN for never.
         """
-        ended = (time >= self._ends[lane]) | (arrived >= self._before_charge[lane])
-        return ((time >= self._next[lane]) & np.isfinite(mean)) | ended
+        ended = (time >= self._times["ends"][lane]) | (arrived >= self._times["before_charge"][lane])
+        return ((time >= self._times["next"][lane]) & np.isfinite(mean)) | ended
 
     def record(self, lane: int, forecast: ForecastRecord, to_charge: ForecastRecord | None = None) -> None:
         """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`."""
-        if forecast.time >= self._next[lane] and np.isfinite(forecast.mean):
+        if forecast.time >= self._times["next"][lane] and np.isfinite(forecast.mean):
             records = self._records.setdefault(lane, bytearray())
             records.extend(_PACKED.pack(*forecast))
             if to_charge is not None:
                 records.extend(_PACKED.pack(*to_charge))
-                self._before_charge[lane] = min(self._before_charge[lane], to_charge.time)
+                self._times["before_charge"][lane] = min(self._times["before_charge"][lane], to_charge.time)
             last, following = forecast.end - LAST_RECORD, forecast.time + RECORD_PERIOD
-            self._next[lane] = min(following, last) if last > forecast.time else following
-            self._ends[lane] = min(self._ends[lane], forecast.end)
+            self._times["next"][lane] = min(following, last) if last > forecast.time else following
+            self._times["ends"][lane] = min(self._times["ends"][lane], forecast.end)
 
     def evaluate_arrival(self, lane: int, arrived: float, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for the charge that a car came to, and drop them from the log.
 
-        Parameters
-        ----------
-        arrived : float
-            When it came there, NaN for never. [s]
+        Units: arrived [s], NaN for never.
         """
-        if not arrived >= self._before_charge[lane]:
+        if not arrived >= self._times["before_charge"][lane]:
             return []
         records = self.get_records(lane)
-        of_charge = (records["basis"] == TO_CHARGE) & (records["time"] <= arrived)
-        self._records[lane] = bytearray(records[~of_charge].tobytes())
-        later = records[~of_charge & (records["basis"] == TO_CHARGE)]
-        self._before_charge[lane] = later["time"].min(initial=np.inf)
-        return compute_shift_errors(records[of_charge], outcome._replace(charged=nan))
+        due = (records["basis"] == TO_CHARGE) & (records["time"] <= arrived)
+        return self._evaluate(lane, records, due, outcome._replace(charged=nan))
 
     def evaluate_until(self, lane: int, time: float, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log."""
-        if not time >= self._ends[lane]:
+        if not time >= self._times["ends"][lane]:
             return []
         records = self.get_records(lane)
-        left = records[records["end"] > time]
+        return self._evaluate(lane, records, records["end"] <= time, outcome)
+
+    def _evaluate(
+        self, lane: int, records: NDArray[np.void], due: NDArray[np.bool_], outcome: Outcome
+    ) -> list[ShiftErrors]:
+        """Return the errors of those records of a lane that are due, and keep the others."""
+        left = records[~due]
         self._records[lane] = bytearray(left.tobytes())
-        self._ends[lane] = left["end"].min(initial=np.inf)
-        return compute_shift_errors(records[records["end"] <= time], outcome)
+        self._times["ends"][lane] = left["end"].min(initial=np.inf)
+        self._times["before_charge"][lane] = left["time"][left["basis"] == TO_CHARGE].min(initial=np.inf)
+        return compute_shift_errors(records[due], outcome)
 
     def evaluate_shift(self, lane: int, outcome: Outcome) -> list[ShiftErrors]:
         """Return the errors of all forecasts of a shift that is over."""
         records = self.get_records(lane)
         self._records.pop(lane, None)
-        self._next[lane], self._ends[lane], self._before_charge[lane] = 0.0, np.inf, np.inf
+        self._times[lane] = _NO_RECORDS
         return compute_shift_errors(records[records["basis"] != TO_CHARGE], outcome)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self._records = take_keys(self._records, lanes)
-        self._next, self._ends = take_lanes(self._next, lanes), take_lanes(self._ends, lanes)
-        self._before_charge = take_lanes(self._before_charge, lanes)
+        self._times = take_lanes(self._times, lanes)
 
     def get_records(self, lane: int) -> NDArray[np.void]:
         """Return the recorded forecasts of a lane, (n,) FORECAST_RECORDS."""
@@ -201,14 +190,15 @@ class ForecastLog:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        times = self._next, self._ends, self._before_charge
-        return list(self._records.items()), *(each.tobytes() for each in times)
+        return list(self._records.items()), *(self._times[name].tobytes() for name in LANE_TIMES.names or ())
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
         records, *times = state
         self._records = {int(lane): bytearray(packed) for lane, packed in records}
-        self._next, self._ends, self._before_charge = (np.frombuffer(each).copy() for each in times)
+        self._times = np.zeros(len(times[0]) // 8, LANE_TIMES)
+        for name, packed in zip(LANE_TIMES.names or (), times, strict=True):
+            self._times[name] = np.frombuffer(packed)
 
 
 def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[ShiftErrors]:
@@ -225,19 +215,10 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         judged = of_basis[known]
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
-        out.append(
-            ShiftErrors(
-                int(basis),
-                judged["time"],
-                judged["ahead_km"],
-                judged["ambient_c"],
-                (soc - judged["mean"]) / judged["sd"],
-                count_outcomes(judged["lower"], judged["upper"], soc),
-                of_basis["driving"],
-                of_basis["waiting"],
-                done,
-            )
-        )
+        scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
+        time, ahead_km, ambient_c = (judged[name] for name in ("time", "ahead_km", "ambient_c"))
+        planned = of_basis["driving"], of_basis["waiting"]
+        out.append(ShiftErrors(int(basis), time, ahead_km, ambient_c, scores, counts, *planned, done))
     return out
 
 

@@ -41,15 +41,7 @@ LEAST_POWER: Final = 0.05
 
 
 class UsualMix(NamedTuple):
-    """Hold the amounts of the usual rides and idle periods of a vehicle model.
-
-    Parameters
-    ----------
-    rides, idle : (amounts,) float
-        Sums over rides, and over idle periods.
-    idle_periods : float
-        Number of idle periods.
-    """
+    """Hold the amounts of the usual rides and idle periods of a vehicle model, and the number of idle periods."""
 
     rides: Floats
     idle: Floats
@@ -57,19 +49,15 @@ class UsualMix(NamedTuple):
 
 
 class LegEnergyTables(NamedTuple):
-    """Hold the consumption of a vehicle model.
+    """Hold the consumption of a vehicle model, by temperature.
 
     Parameters
     ----------
-    rates : (temperatures, amounts) float
-        Energy of each amount of a stretch. [kWh per amount]
-    mix : UsualMix
-    level_sd : (temperatures,) float
-        Relative standard deviation of the energy of the usual mix. A shift reveals it. [1]
-    parts_covariance : (temperatures, 2, 2) float
-        Covariance of the relative energies of driving and of waiting beside that of the usual mix. [1]
-    level : float
-        Logarithm of the energy that the usual mix takes by these tables, over that by the first ones. [1]
+    rates : Energy of each amount of a stretch, (temperatures, amounts) float. [kWh per amount]
+    level_sd : Relative standard deviation of the energy of the usual mix. A shift reveals it. [1]
+    parts_covariance : Covariance of the relative energies of driving and of waiting beside that of the usual mix,
+        (temperatures, 2, 2) float. [1]
+    level : Logarithm of the energy that the usual mix takes by these tables, over that by the first ones. [1]
     """
 
     rates: Floats
@@ -151,21 +139,11 @@ class LegEnergyTables(NamedTuple):
         return np.asarray(self.rates @ (self.mix.rides + self.mix.idle))
 
     def compute_leg_energy(self, km: Floats, seconds: Floats, gained: Floats, lost: Floats) -> tuple[Floats, Floats]:
-        """Return the energy of legs at each temperature.
+        """Return the energy of legs by temperature, and the same once the rides have begun, (legs, temperatures) each.
 
-        Parameters
-        ----------
-        gained, lost : (legs,) float
-            Climb and descent, NaN for the usual ones. [m]
-
-        Returns
-        -------
-        energy : (legs, temperatures) float
-            [kWh] It is negative where a descent returns more than the leg takes, but never by more than the descent
-            itself returns.
-        begun_energy : (legs, temperatures) float
-            The same once the rides have begun. The energy of the beginning is then spent, so that half of such a leg
-            takes half of its energy. [kWh]
+        Units: energies [kWh]; gained [m] and lost [m], NaN for the usual ones. An energy is negative where a descent
+        returns more than the leg takes, but never by more than the descent itself returns. Half of a leg that has begun
+        takes half of its energy, because that of the beginning is spent.
         """
         out = np.empty((2, len(km), len(TEMPERATURES)))
         _compute_leg_energy(np.array([km, seconds, gained, lost]), self.climbs, self.rates, out)

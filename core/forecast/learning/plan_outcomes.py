@@ -41,12 +41,8 @@ class PlanOutcomes:
 
     Attributes
     ----------
-    factor : (2,) float
-        Energy done over planned energy, of driving and of waiting. [1]
-    covariance : (2, 2) float
-        Covariance of both.
-    spread : float
-        Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    factor, covariance : Energy done over planned energy, of driving and of waiting, and the covariance of both. [1]
+    spread : Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
     """
 
     def __init__(self) -> None:
@@ -76,9 +72,7 @@ class PlanOutcomes:
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
         if shifts := int(self.today.get("shifts")):
-            for name in ("matrix", "right", "squares", "shifts"):
-                known = self._known.get(name)
-                self._known.add(name, weigh_day(shifts) * self.today.get(name) - (1.0 - DAY_MEMORY) * known)
+            self._known.age(DAY_MEMORY, self.today, weigh_day(shifts))
         self.today.clear()
         self._compute_factors()
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.forecast.plan_checks import find_refusal
 from socast.core.wire.messages import Plan
+from socast.core.wire.plan_checks import find_refusal
 from socast.stream.mcap_reader import McapSource
 from socast.tools.commands.import_drives import collect_drives
 from socast.tools.importers.data_sets import DATA_SETS

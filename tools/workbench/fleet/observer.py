@@ -9,8 +9,8 @@ from typing import Any, Final
 import msgspec
 
 from socast.core.errors import SettingsError
-from socast.core.forecast.plan_checks import parse_leg, parse_vehicle
 from socast.core.wire.messages import Outlook
+from socast.core.wire.plan_checks import parse_leg, parse_vehicle
 from socast.stream.zenoh_observer import ZenohObserver
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import Connection, Node

@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from socast.core.errors import SettingsError, SocastError
-from socast.core.forecast.plan_checks import parse_leg, parse_vehicle
 from socast.core.pipeline import Pipeline
 from socast.core.wire.message_block import MessageBlock
 from socast.core.wire.messages import Message, Outlook
+from socast.core.wire.plan_checks import parse_leg, parse_vehicle
 from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.errors import AskError
-from socast.core.forecast.plan_checks import (
+from socast.core.wire.messages import Leg, Plan
+from socast.core.wire.plan_checks import (
     AHEAD_S,
     LEG_LIMITS,
     MOST_BYTES,
@@ -22,7 +23,6 @@ from socast.core.forecast.plan_checks import (
     parse_plan,
     parse_vehicle,
 )
-from socast.core.wire.messages import Leg, Plan
 
 NOW = 1_705_320_000.0
 GOOD = {"vehicle_id": "a", "time_s": NOW, "shift_end_s": NOW + 3600.0, "reserve_soc_pct": 20.0, "legs": []}

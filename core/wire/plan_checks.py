@@ -29,13 +29,7 @@ _SHOWN_CHARACTERS: Final = 40  # of a wrong value, in a message
 
 
 class Refusal(NamedTuple):
-    """Hold the reason why a plan cannot be used.
-
-    Parameters
-    ----------
-    cause : str
-        Name of its counter: `out_of_range`, `too_many_legs`, `plan_in_the_past` or `plan_too_far_ahead`.
-    """
+    """Hold why a plan cannot be used: the name of its counter, see `find_refusal`, and a message."""
 
     cause: str
     message: str
@@ -76,13 +70,10 @@ _query_plans: Final = msgspec.json.Decoder(_QueryPlan)
 
 
 def is_outdated(plan: Plan, newest_s: float) -> bool:
-    """Return whether a plan was made before the newest known one.
+    """Return whether a plan was made before the newest known one. [Unix seconds]
 
-    Parameters
-    ----------
-    newest_s : float
-        Time of the newest known plan. Where it is later by more than `AHEAD_S`, its clock was wrong, and any plan
-        replaces it; otherwise that one mistake would keep out every later plan. [Unix seconds]
+    Where the newest is later by more than `AHEAD_S`, its clock was wrong, and any plan replaces it; otherwise that one
+    mistake would keep out every later plan.
 
     Examples
     --------
@@ -95,15 +86,9 @@ def is_outdated(plan: Plan, newest_s: float) -> bool:
 
 
 def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal | None:
-    """Return why a plan cannot be used; None where it can.
+    """Return why a plan cannot be used; None where it can, even if its legs need more time than the shift has.
 
-    Legs that need more time than the shift has are accepted.
-
-    Parameters
-    ----------
-    now_s : float
-        Time of the vehicle's newest sample; NaN where unknown, and then any end of the shift is accepted.
-        [Unix seconds]
+    Without the time of the vehicle's newest sample, NaN, any end of the shift is accepted. [Unix seconds]
 
     Examples
     --------
@@ -145,9 +130,7 @@ def find_leg_fault(leg: Leg) -> str | None:
         value = getattr(leg, name)
         if value is not None and not 0.0 <= value <= most:
             return f"{name} is {value:g}, must be 0 to {most:g}; give {unit}"
-    if leg.distance_km is None:
-        return None
-    if leg.distance_km * 3600.0 > FASTEST_KMH * leg.duration_s:
+    if leg.distance_km is not None and leg.distance_km * 3600.0 > FASTEST_KMH * leg.duration_s:
         return (
             f"{leg.distance_km:g} km in {leg.duration_s / 60.0:.3g} min are more than {FASTEST_KMH:g} km/h: "
             "check distance_km and duration_s"
@@ -250,10 +233,7 @@ def parse_leg(given: Mapping[str, str]) -> Leg | None:
 def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
     """Return the plan in the payload of a query; None without a payload, for the published plan.
 
-    Parameters
-    ----------
-    payload : bytes or None
-        A `Plan` as JSON. It may leave out `vehicle_id` and `time_s`; the time is then NaN.
+    The JSON may leave out `vehicle_id` and `time_s`; the time is then NaN.
     """
     if not payload:
         return None
