@@ -61,7 +61,7 @@ def add_effect(
     html_file: HtmlFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
-    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history, page  # noqa: PLC0415 - figures take seconds to import
 
     source.check()
     base = models.load(model)
@@ -73,7 +73,8 @@ def add_effect(
     write_json(json_file, "add", added.trial.to_json())
     console = make_console(json_file)
     if html_file:
-        history.write_trial(added.trial, survey_both(base, added.model, *tables), html_file)
+        surveys = survey_both(base, added.model, *tables)
+        page.write_report(history.build_trial_report(added.trial, surveys), html_file)
     history.print_trial(added.trial, console)
     if html_file:
         console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

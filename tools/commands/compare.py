@@ -81,7 +81,7 @@ def compare_models(
         if ride is not None:
             trace = _trace(first, ride, chosen, wanted)
             write_json(json_file, "compare", {"trace": trace.to_json()})
-            show_report("comparison.trace_page", trace, html_file, json_file)
+            show_report("comparison.trace", trace, html_file, json_file)
             return
         table, read_windows, read_all = _read(first, wanted)
         selected, given = select_rides(table, chosen), dict(zip(chosen, model, strict=True))

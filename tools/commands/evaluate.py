@@ -26,7 +26,7 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, show_report, write_json
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY, is_table
 
@@ -108,7 +108,7 @@ def evaluate_tables(
     seconds = round(time.perf_counter() - began, 1)
     result = replace(result, about=replace(result.about, seconds=seconds))
     write_json(json_file, "evaluate", result.to_json())
-    _report(result, html_file, json_file)
+    show_report("evaluation.page", result, html_file, json_file)
 
 
 def window_columns(names: Collection[str] = ()) -> list[str]:
@@ -149,16 +149,3 @@ def running() -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("evaluating", total=None)
         yield lambda done, of: progress.update(task, completed=done, total=of)
-
-
-def _report(result: RecipeEvaluation, html_file: Path | None, json_file: Path | None) -> None:
-    """Write the HTML page and print the tables."""
-    from socast.tools.report import page  # noqa: PLC0415 - figures take seconds to import
-    from socast.tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
-
-    console = make_console(json_file)
-    if html_file:
-        page.write(result, html_file)
-    terminal.show(result, console)
-    if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

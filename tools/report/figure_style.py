@@ -4,6 +4,7 @@ No information is in colour alone, so figures can be read in black and white. Co
 and dark backgrounds; text and grid take the colours of the page.
 """
 
+from collections.abc import Sequence
 from html import escape
 from typing import Any, Final, NamedTuple
 
@@ -146,11 +147,24 @@ def apply_layout(made: go.Figure, height: int) -> go.Figure:
     return made
 
 
+def make_error_bars(
+    up: Sequence[float | None] | None,
+    down: Sequence[float | None] | None = None,
+    *,
+    thickness: float = 1,
+    width: int = 3,
+) -> dict[str, Any] | None:
+    """Return error bars of half widths, or of the parts above and below; None where none is known."""
+    if not up or not any(up):
+        return None
+    sides = {"array": list(up)} | ({} if down is None else {"arrayminus": list(down), "symmetric": False})
+    return {"type": "data", **sides, "thickness": thickness, "width": width}
+
+
 def draw_curve(
     name: str, look: Style, x: list[Any], y: list[Any], ci95: list[float | None] | None = None, **more: Any
 ) -> Any:
     """Return a line with markers, with error bars where half widths of intervals are given."""
-    bars = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
     return go.Scatter(
         name=name,
         x=x,
@@ -158,19 +172,37 @@ def draw_curve(
         mode="lines+markers",
         line={"color": look.colour, "dash": look.dash, "width": 2},
         marker={"symbol": look.symbol, "size": 8, "color": look.colour},
-        error_y=bars,
+        error_y=make_error_bars(ci95),
         **more,
     )
 
 
-def draw_bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
-    """Return horizontal bars with the pattern of a style."""
+def draw_interval_rows(
+    name: str, look: Style, rows: Sequence[str], values: Sequence[float], ends: Sequence[tuple[float, float] | None]
+) -> go.Scatter:
+    """Return a marker in each row with an interval that need not be symmetric."""
+    up = [None if end is None else end[1] - value for value, end in zip(values, ends, strict=True)]
+    down = [None if end is None else value - end[0] for value, end in zip(values, ends, strict=True)]
+    return go.Scatter(
+        name=name,
+        x=list(values),
+        y=[escape_label(row) for row in rows],
+        mode="markers",
+        marker={"symbol": look.symbol, "size": 10, "color": look.colour},
+        error_x=make_error_bars(up, down, thickness=1.5, width=4),
+    )
+
+
+def draw_bars(
+    name: str, look: Style, y: list[Any], x: list[Any], *, orientation: str | None = "h", **more: Any
+) -> go.Bar:
+    """Return bars with the pattern of a style, horizontal ones by default."""
     marker = {
         "color": look.colour,
         "pattern": {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5},
         "line": {"color": look.colour, "width": 1},
     }
-    return go.Bar(name=name, x=x, y=y, orientation="h", marker=marker, **more)
+    return go.Bar(name=name, x=x, y=y, orientation=orientation, marker=marker, **more)
 
 
 def draw_dots(
@@ -183,10 +215,9 @@ def draw_dots(
     outline: bool = False,
 ) -> go.Scatter:
     """Return markers in rows, filled or as outlines."""
-    spread = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
     symbol = f"{look.symbol}-open" if outline else look.symbol
     marker = {"symbol": symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}}
-    return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=spread)
+    return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=make_error_bars(ci95))
 
 
 def add_reference_line(made: go.Figure, text: str, x: float) -> None:

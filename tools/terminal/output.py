@@ -168,8 +168,13 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
         sys.stdout.write(text.decode())
         sys.stdout.flush()
         return
+    write_file(path, text)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file as a whole; one that is there is replaced."""
     try:
-        write_whole(path, text)
+        write_whole(path, content)
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 
@@ -185,7 +190,7 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
     """
     shown, console = import_module(f"socast.tools.report.{name}"), make_console(json_file)
     if html_file:
-        shown.write(result, html_file, **options)
+        import_module("socast.tools.report.page").write_report(shown.build_report(result, **options), html_file)
     shown.show(result, console, **options)
     if html_file:
         console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

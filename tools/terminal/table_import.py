@@ -88,9 +88,10 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped, weather)
     print_summary(summary, console)
     if options.html_file is not None:
-        from socast.tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
+        from socast.tools.report.imported import build_report  # noqa: PLC0415 - figures take seconds to import
+        from socast.tools.report.page import write_report  # noqa: PLC0415 - ditto
 
-        write(summary, options.html_file)
+        write_report(build_report(summary), options.html_file)
         console.print(f"report in {options.html_file}", markup=False, highlight=False, soft_wrap=True)
 
 

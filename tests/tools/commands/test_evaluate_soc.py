@@ -22,10 +22,16 @@ from socast.tools.commands import evaluate_soc as command
 from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 from socast.tools.importers.synthetic_shifts import concatenate_drives
+from socast.tools.report.page import write_report
 from socast.tools.report.soc import figures as drawn
 from socast.tools.report.soc import page as report
-from socast.tools.report.soc import risk_tables
-from socast.tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
+from socast.tools.report.soc.tables import (
+    compare_with_best,
+    format_share,
+    tabulate_alarms,
+    tabulate_by_time,
+    tabulate_conditions,
+)
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tests.support.soc_frames import make_frames
@@ -53,9 +59,7 @@ def printed(result):
 
 def figures(result):
     """Return all figures of the page, by key."""
-    drawn = [
-        one for section in report.build_sections(result) for one in report.build_illustrations(result, section.key)
-    ]
+    drawn = [one for section in report.build_sections(result) for one in report.build_report(result).draw(section.key)]
     return {one.key: one for one in drawn}
 
 
@@ -163,7 +167,7 @@ def test_tables_show_figures_of_result(result):
 
 
 def test_page_is_self_contained_and_has_every_figure(result, tmp_path):
-    report.write(result, tmp_path / "s.html")
+    write_report(report.build_report(result), tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text()
     page = read_page(text)
     assert page.loaded == []
@@ -257,7 +261,7 @@ def test_comparison_with_best_omits_few_vehicle_days(result):
 
 
 def test_alarms_are_listed_by_level(result):
-    table = risk_tables.tabulate_alarms(result)
+    table = tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
     group = result.reserve.overall["2"]
@@ -317,7 +321,7 @@ def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
     out = printed(result)
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "all"]
     assert " 0 h " in out
-    report.write(result, tmp_path / "few.html")
+    write_report(report.build_report(result), tmp_path / "few.html")
     assert "figure-soc-scatter" not in read_page((tmp_path / "few.html").read_text()).ids
 
 
@@ -326,5 +330,5 @@ def test_unusual_names_are_shown_unchanged(tmp_path):
     result = evaluate_soc(*tables)
     assert "R&D's" in printed(result)
     assert any("no official rating is known of" in note for note in result.notes)
-    report.write(result, tmp_path / "odd.html")
+    write_report(report.build_report(result), tmp_path / "odd.html")
     assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

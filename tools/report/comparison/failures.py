@@ -10,7 +10,7 @@ from rich.text import Text
 from socast.core.evaluate.compare.records import ChartBins, Comparison, ResidualChart, ResidualSurvey
 from socast.core.formatting import format_count, format_minus
 from socast.tools.report.comparison.figures import get_model_style
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.document import Illustration
 from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
 WIDTHS: Final = (16, 60)

@@ -8,7 +8,6 @@ from plotly.subplots import make_subplots
 
 from socast.core.evaluate.compare.records import Comparison, ConditionBin, ContrastBin, DatasetContrast
 from socast.core.stats.scores import BANDS
-from socast.tools.report.cells import format_count
 from socast.tools.report.comparison.tables import (
     UNITS,
     format_bin,
@@ -16,7 +15,7 @@ from socast.tools.report.comparison.tables import (
     list_varying_conditions,
     select_most_significant,
 )
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.document import Illustration
 from socast.tools.report.figure_style import (
     REFERENCE_LINE,
     Style,
@@ -26,6 +25,7 @@ from socast.tools.report.figure_style import (
     get_style,
     make_figure,
 )
+from socast.tools.report.table import format_count
 
 MOST_POINTS: Final = 2000
 """Largest number of rides in a scatter plot."""

@@ -13,8 +13,8 @@ from socast.core.diagnose.deviation_words import (
 )
 from socast.core.diagnose.records import CarDeviation, Diagnosis, RankedCar
 from socast.core.formatting import format_minus
-from socast.tools.report.cells import format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
+from socast.tools.report.table import format_percent
 
 WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""

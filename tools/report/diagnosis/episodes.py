@@ -4,7 +4,7 @@ from typing import Final
 
 from socast.core.diagnose.records import Diagnosis, FoundEpisode
 from socast.core.formatting import format_minus, word_date
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
+from socast.tools.report.table import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
 
 MOST_DATES: Final = 6
 """Number of dates above which only their number, the first and the last one are written out."""

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Final
 
 from socast.core.diagnose.records import Diagnosis, ErrorLocation, LocatedLoad
-from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.table import format_count, format_percent
 
 UNITS: Final = {
     "ride": "ride",

@@ -18,13 +18,12 @@ from socast.core.diagnose.records import (
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
-from socast.tools.report.cells import format_chance, format_count, format_difference, format_percent
 from socast.tools.report.comparison.tables import UNITS, format_bin
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient, format_unit
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
 from socast.tools.report.diagnosis.location_sentences import advise_recording
-from socast.tools.report.record_table import format_digits
+from socast.tools.report.table import format_chance, format_count, format_difference, format_digits, format_percent
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""

@@ -1,26 +1,27 @@
 """Build the tables of the data: the rides that the filter kept, and Tables 2 to 4 of the paper."""
 
 from collections.abc import Callable
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import AVERAGE, WEIGHTED, PublishedFigure
 from socast.core.evaluate.paper.records import EstimateTable, EvaluatedTable, Numbers, RecipeEvaluation
-from socast.core.evaluate.records import EstimatedValue
-from socast.tools.report.cells import (
+from socast.tools.report.evaluation.result import get_vehicle_name, list_clusters, list_vehicle_models
+from socast.tools.report.table import (
     UNKNOWN,
     Cell,
     ReportTable,
-    Row,
     format_cluster,
     format_count,
     format_energy,
     format_percent,
     format_published,
     get_value,
+    keep_filled,
+    tabulate,
 )
-from socast.tools.report.evaluation.result import get_vehicle_name, list_clusters, list_vehicle_models
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
 """Sources of the measured energy of a ride -> their names for readers."""
@@ -31,78 +32,58 @@ AVERAGE_NOTE: Final = "* Unweighted mean over the clusters that have a figure."
 
 
 def tabulate_data(result: RecipeEvaluation) -> list[ReportTable]:
-    """Return the tables of the data that have a row."""
-    tables = (
-        tabulate_ride_filter(result),
-        tabulate_rides(result),
-        tabulate_consumption(result),
-        tabulate_test_consumption(result),
+    """Return the tables of the rides by cluster of distance, and of their mean consumption, that have a row. [kWh]"""
+    consumption = tabulate_by_cluster(
+        result, result.consumption, "Mean consumption of a ride, kWh (Table 3)", published.get_consumption
     )
-    return [table for table in tables if table.rows]
+    tested = tabulate_by_cluster(
+        result,
+        result.test_consumption,
+        "Mean consumption of a ride in the test sets, kWh (Table 4)",
+        published.get_test_consumption,
+        ("± is half of the 95 % confidence interval over the repeated draws.",),
+    )
+    return keep_filled(tabulate_ride_filter(result), tabulate_rides(result), consumption, tested)
 
 
 def tabulate_ride_filter(result: RecipeEvaluation) -> ReportTable:
     """Return the number of rides, and how many the filter left out for which reason."""
     about, total = result.about, result.about.rides
-    rows: list[Row] = []
-    if total is not None:
-        published_count = format_count(published.get_statement("rides").value)
-        rows.append(Row("rides", (Cell(format_count(total), published_count), Cell(""))))
-    for reason, count in about.unfit.items():
-        rows.append(_counted(f"left out: {reason.replace('_', ' ')}", count, total))
-    removed = sum(about.unfit.values())
-    if removed:
-        published_count = format_count(published.get_statement("rides_removed").value)
-        share = published.get_statement("rides_removed").value / published.get_statement("rides").value
-        rows.append(
-            Row(
-                "left out, all",
-                (Cell(format_count(removed), published_count), Cell(_share(removed, total), format_percent(share))),
-                total=True,
-            )
-        )
-    if about.fit is not None:
-        rows.append(_counted("evaluated", about.fit, total, last=True))
-    return ReportTable("Rides and the filter (section 3)", "rides", ("count", "share"), tuple(rows), _origin(about))
+    removed, all_rides = (published.get_statement(name).value for name in ("rides_removed", "rides"))
+    counts = {"rides": total} | {
+        f"left out: {reason.replace('_', ' ')}": count for reason, count in about.unfit.items()
+    }
+    counts |= {"left out, all": sum(about.unfit.values()) or None, "evaluated": about.fit}
+    papers = {
+        "rides": (format_count(all_rides), ""),
+        "left out, all": (format_count(removed), _share(removed, all_rides)),
+    }
+
+    def make_share(name: str) -> Cell:
+        shown = "" if name == "rides" else _share(counts[name] or 0, total)
+        return Cell(shown, papers.get(name, ("", ""))[1])
+
+    rows = [(name, name) for name, count in counts.items() if count is not None]
+    columns = (
+        ("count", lambda name: Cell(format_count(counts[name]), papers.get(name, ("", ""))[0])),
+        ("share", make_share),
+    )
+    totals = ("left out, all", "evaluated")
+    return tabulate("Rides and the filter (section 3)", "rides", rows, columns, _origin(about), totals=totals)
 
 
 def tabulate_rides(result: RecipeEvaluation) -> ReportTable:
     """Return the number of rides by vehicle model and cluster of distance, as Table 2 of the paper."""
+
+    def make_cell(cluster: str, key: str) -> Cell:
+        theirs = published.get_ride_count(key, cluster)
+        return Cell(format_count(result.rides[key].get(cluster)), "" if theirs is None else format_count(theirs.value))
+
     columns = [*list_clusters(result, result.rides.values()), "total"]
-    rows = tuple(
-        Row(
-            get_vehicle_name(key),
-            tuple(
-                Cell(format_count(result.rides[key].get(c)), _paper_count(published.get_ride_count(key, c)))
-                for c in columns
-            ),
-        )
-        for key in list_vehicle_models(result)
-        if key in result.rides
-    )
+    rows = [(get_vehicle_name(key), key) for key in list_vehicle_models(result) if key in result.rides]
     note = "Table 2 of the paper adds up to the rides before any was removed."
-    return ReportTable("Rides by distance (Table 2)", "vehicle model", format_heads(columns), rows, (note,))
-
-
-def tabulate_consumption(result: RecipeEvaluation) -> ReportTable:
-    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper. [kWh]"""
-    return tabulate_by_cluster(
-        result,
-        result.consumption,
-        "Mean consumption of a ride, kWh (Table 3)",
-        published.get_consumption,
-    )
-
-
-def tabulate_test_consumption(result: RecipeEvaluation) -> ReportTable:
-    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper. [kWh]"""
-    table = tabulate_by_cluster(
-        result,
-        result.test_consumption,
-        "Mean consumption of a ride in the test sets, kWh (Table 4)",
-        published.get_test_consumption,
-    )
-    return table._replace(notes=(*table.notes, "± is half of the 95 % confidence interval over the repeated draws."))
+    heads = [(format_head(each), partial(make_cell, each)) for each in columns]
+    return tabulate("Rides by distance (Table 2)", "vehicle model", rows, heads, (note,))
 
 
 def tabulate_by_cluster(
@@ -110,6 +91,7 @@ def tabulate_by_cluster(
     energies: EstimateTable | Numbers,
     title: str,
     paper: Callable[[str, str], PublishedFigure | None],
+    notes: tuple[str, ...] = (),
 ) -> ReportTable:
     """Return a table of energies by vehicle model and cluster of distance. [kWh]
 
@@ -120,46 +102,27 @@ def tabulate_by_cluster(
     paper : callable
         Returns the paper's figure of a vehicle model and a cluster, None where the paper has none.
     """
+
+    def make_cell(cluster: str, key: str) -> Cell:
+        value, figure = energies[key].get(cluster), paper(key, cluster)
+        if get_value(value) is None and figure is None:
+            return Cell("")
+        return Cell(format_energy(value), format_published(figure))
+
     columns = list_clusters(result, energies.values())
     if any(AVERAGE in row for row in energies.values()):
-        columns.append(AVERAGE)
-    keys = [key for key in (*list_vehicle_models(result), WEIGHTED) if key in energies]
-    rows = tuple(
-        Row(
-            "Weighted average" if key == WEIGHTED else get_vehicle_name(key),
-            tuple(_beside(energies[key].get(column), paper(key, column)) for column in columns),
-            total=key == WEIGHTED,
-        )
-        for key in keys
-    )
-    notes = (AVERAGE_NOTE,) if AVERAGE in columns else ()
-    return ReportTable(title, "vehicle model", format_heads(columns), rows, notes)
+        columns, notes = [*columns, AVERAGE], (AVERAGE_NOTE, *notes)
+    rows = [(get_vehicle_name(key), key) for key in (*list_vehicle_models(result), WEIGHTED) if key in energies]
+    heads = [(format_head(each), partial(make_cell, each)) for each in columns]
+    return tabulate(title, "vehicle model", rows, heads, notes, totals=(get_vehicle_name(WEIGHTED),))
 
 
-def format_heads(columns: list[str]) -> tuple[str, ...]:
-    """Return the headings of columns that are clusters, an average or a total."""
-    special = {AVERAGE: "average *", "total": "total"}
-    return tuple(special.get(column) or format_cluster(column) for column in columns)
+def format_head(column: str) -> str:
+    """Return the heading of a column that is a cluster, an average or a total."""
+    return {AVERAGE: "average *", "total": "total"}.get(column) or format_cluster(column)
 
 
-def _beside(value: EstimatedValue | float | None, figure: PublishedFigure | None) -> Cell:
-    """Return a cell with the figure of this evaluation and that of the paper, an empty cell where there is neither."""
-    if get_value(value) is None and figure is None:
-        return Cell("")
-    return Cell(format_energy(value), format_published(figure))
-
-
-def _paper_count(figure: PublishedFigure | None) -> str:
-    """Return a count of the paper, empty text where it has none."""
-    return "" if figure is None else format_count(figure.value)
-
-
-def _counted(name: str, count: int, total: int | None, *, last: bool = False) -> Row:
-    """Return a row with a count and its share of the total."""
-    return Row(name, (Cell(format_count(count)), Cell(_share(count, total))), total=last)
-
-
-def _share(value: int, total: int | None) -> str:
+def _share(value: float, total: float | None) -> str:
     """Return a value as a share of the total, `UNKNOWN` where that is unknown."""
     return format_percent(value / total) if total else UNKNOWN
 

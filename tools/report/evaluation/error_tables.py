@@ -1,6 +1,7 @@
 """Build the tables of errors: Tables 5 to 11 of the paper, their summary, and which models differ significantly."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
@@ -8,27 +9,30 @@ from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
 from socast.core.evaluate.paper.records import DifferenceScore, Numbers, RecipeEvaluation
 from socast.core.stats.multiple_testing import CO_DOMINANCE_MARGIN, SIGNIFICANCE
-from socast.tools.report.cells import (
-    UNKNOWN,
-    Cell,
-    ReportTable,
-    Row,
-    format_cluster,
-    format_energy,
-    format_percent,
-    format_published,
-    format_published_share,
-    format_signed,
-    mark_least,
-)
 from socast.tools.report.evaluation.data_tables import tabulate_by_cluster
 from socast.tools.report.evaluation.result import (
+    Column,
     get_average_error,
     get_recipes,
     get_title,
     get_vehicle_name,
     list_clusters,
     list_vehicle_models,
+    name_recipes,
+    name_vehicle_models,
+)
+from socast.tools.report.table import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    format_cluster,
+    format_energy,
+    format_percent,
+    format_published,
+    format_published_share,
+    format_signed,
+    keep_filled,
+    tabulate,
 )
 
 INTERVAL_NOTE: Final = (
@@ -52,125 +56,108 @@ DOMINATES_NOTE: Final = (
 """Note that explains the marks `DOMINATES`."""
 
 
-def tabulate_all_errors(result: RecipeEvaluation) -> list[ReportTable]:
-    """Return a table of errors for each model, in the layout of the paper."""
-    return [table for recipe in get_recipes(result) if (table := tabulate_errors(result, recipe)).rows]
-
-
 def tabulate_errors(result: RecipeEvaluation, recipe: str) -> ReportTable:
     """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper. [kWh]"""
     number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
-    table = tabulate_by_cluster(
+    return tabulate_by_cluster(
         result,
         result.mae.get(recipe, {}),
         f"{get_title(result, recipe)}: mean absolute error, kWh{where}",
-        lambda key, cluster: published.get_mae(recipe, key, cluster),
+        partial(published.get_mae, recipe),
+        (INTERVAL_NOTE, WEIGHTED_NOTE),
     )
-    return table._replace(notes=(*table.notes, INTERVAL_NOTE, WEIGHTED_NOTE))
 
 
 def tabulate_summaries(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables that compare all models: average and relative errors, bias, root mean square and bands."""
-    tables = (
+    return keep_filled(
         tabulate_average_errors(result),
         tabulate_reductions(result),
         tabulate_relative_errors(result),
         tabulate_bias_and_rmse(result),
         tabulate_bands(result),
     )
-    return [table for table in tables if table.rows]
 
 
 def tabulate_average_errors(result: RecipeEvaluation) -> ReportTable:
     """Return the average error of each model on each vehicle model, as Figure 3 of the paper. [kWh]"""
-    keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if result.mae.get(r)]
-    columns = [
-        mark_least(
-            [_average_cell(result, recipe, key) for recipe in recipes],
-            [get_average_error(result, r, key).value for r in recipes],
-        )
-        for key in keys
-    ]
-    rows = tuple(
-        Row(get_title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(recipes)
-    )
+
+    def make_cell(key: str, recipe: str) -> Cell:
+        error = get_average_error(result, recipe, key)
+        marks = "".join(mark for score, mark in DOMINATES.items() if recipe in getattr(result, score).get(key, ()))
+        theirs = format_published(published.get_mae(recipe, key, AVERAGE))
+        return Cell(f"{format_energy(error)} {marks}".rstrip(), theirs, value=error.value)
+
     notes = ["Bold: the least of its column. ± is half of the 95 % confidence interval."]
     if result.dominates:
         notes.append(DOMINATES_NOTE)
         notes += [_said(result, finding) for finding in published.get_findings("dominates")]
-    heads = tuple(get_vehicle_name(key) for key in keys)
-    return ReportTable("Average error over clusters, kWh (Figure 3)", "model", heads, rows, tuple(notes))
+    rows = name_recipes(result, [recipe for recipe in get_recipes(result) if result.mae.get(recipe)])
+    title, columns = "Average error over clusters, kWh (Figure 3)", name_vehicle_models(result, make_cell)
+    return tabulate(title, "model", rows, columns, tuple(notes))
 
 
 def tabulate_reductions(result: RecipeEvaluation) -> ReportTable:
     """Return by how much the average error of each model is below that of the basic physical model. [%]"""
-    keys = list_vehicle_models(result)
     others = {recipe: shares for recipe, shares in result.reduction.items() if recipe != PHYSICAL}
-    rows = _share_rows(result, others, (*keys, AVERAGE), published.get_reduction)
     stated = format_percent(published.get_statement("reduction").value, 2)
     note = (
         f"The paper's percentages are computed from its rounded averages. Its text states {stated} for the "
         "hybrid model with interaction terms, averaged over its four vehicle models."
     )
-    heads = (*(get_vehicle_name(key) for key in keys), "average")
-    return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
+    heads = [(key, get_vehicle_name(key)) for key in list_vehicle_models(result)]
+    title = "Reduction of the average error against the basic physical model"
+    return _tabulate_shares(result, title, others, [*heads, (AVERAGE, "average")], published.get_reduction, (note,))
 
 
 def tabulate_relative_errors(result: RecipeEvaluation) -> ReportTable:
     """Return error over consumption by cluster of distance, as Figure 2 of the paper. [%]"""
-    columns = list_clusters(result, result.relative.values())
-    rows = _share_rows(result, result.relative, columns, published.get_relative_error)
     note = (
         "The paper shows these as a curve only. Its figures here are computed from the weighted rows of Tables 4 to 11."
     )
-    heads = tuple(format_cluster(c) for c in columns)
-    name = "Error over consumption, all vehicle models together (Figure 2)"
-    return ReportTable(name, "model", heads, rows, (note,))
+    heads = [(cluster, format_cluster(cluster)) for cluster in list_clusters(result, result.relative.values())]
+    title = "Error over consumption, all vehicle models together (Figure 2)"
+    return _tabulate_shares(result, title, result.relative, heads, published.get_relative_error, (note,))
 
 
 def tabulate_bias_and_rmse(result: RecipeEvaluation) -> ReportTable:
     """Return bias and root mean square error of each model on each vehicle model. [kWh]"""
-    keys = list_vehicle_models(result)
-    names = [r for r in get_recipes(result) if result.bias.get(r) or result.rmse.get(r)]
-    rows = tuple(
-        Row(
-            get_title(result, recipe),
-            tuple(
-                Cell(
-                    f"{format_energy(result.rmse.get(recipe, {}).get(key))} "
-                    f"({format_signed(result.bias.get(recipe, {}).get(key))})"
-                )
-                for key in keys
-            ),
-        )
-        for recipe in names
-    )
+
+    def make_cell(key: str, recipe: str) -> Cell:
+        rmse, bias = (of.get(recipe, {}).get(key) for of in (result.rmse, result.bias))
+        return Cell(f"{format_energy(rmse)} ({format_signed(bias)})")
+
+    rows = name_recipes(result, [r for r in get_recipes(result) if result.bias.get(r) or result.rmse.get(r)])
     note = "In parentheses, bias: mean of predicted less measured. A ride counts once for each draw that tests it."
-    heads = tuple(get_vehicle_name(key) for key in keys)
-    return ReportTable("Root mean square error and bias, kWh", "model", heads, rows, (note,))
+    columns = name_vehicle_models(result, make_cell)
+    return tabulate("Root mean square error and bias, kWh", "model", rows, columns, (note,))
 
 
 def tabulate_bands(result: RecipeEvaluation) -> ReportTable:
     """Return the share of rides that each model predicts within bands of relative error. [%]"""
-    limits = list(dict.fromkeys(limit for row in result.bands.values() for limit in row))
-    rows = _share_rows(result, result.bands, limits)
-    heads = tuple(f"within ±{limit} %" for limit in limits)
-    return ReportTable("Rides predicted within a band around their measured energy", "model", heads, rows)
+    heads = {limit: f"within ±{limit} %" for row in result.bands.values() for limit in row}
+    title = "Rides predicted within a band around their measured energy"
+    return _tabulate_shares(result, title, result.bands, list(heads.items()))
 
 
 def tabulate_differences(result: RecipeEvaluation, vehicle_model: str) -> ReportTable:
     """Return the difference scores of all pairs of models on a vehicle model. [kWh]"""
     scores = result.difference.get(vehicle_model, {})
-    names = list_compared(result, scores)
-    rows = tuple(
-        Row(f"{i}  {get_title(result, a)}", tuple(_difference_cell(scores, a, b) for b in names))
-        for i, a in enumerate(names, start=1)
-    )
+
+    def make_cell(b: str, a: str) -> Cell:
+        known = get_difference(scores, a, b)
+        if known is None:
+            return Cell("" if a == b else UNKNOWN)
+        value, p = known
+        significant = p is not None and p < SIGNIFICANCE
+        return Cell(f"{format_signed(value)}{'*' if significant else ''}", strong=significant)
+
+    compared = list(enumerate(list_compared(result, scores), start=1))
+    rows = [(f"{i}  {get_title(result, recipe)}", recipe) for i, recipe in compared]
+    columns: list[Column] = [(str(i), partial(make_cell, recipe)) for i, recipe in compared]
     note = f"Row's error less column's, so negative where the row's model is better. * significant, p < {SIGNIFICANCE}."
-    heads = tuple(str(i) for i in range(1, len(names) + 1))
-    name = f"Difference score, {get_vehicle_name(vehicle_model)}, kWh"
-    return ReportTable(name, "model", heads, rows, (note,))
+    return tabulate(f"Difference score, {get_vehicle_name(vehicle_model)}, kWh", "model", rows, columns, (note,))
 
 
 def list_compared(result: RecipeEvaluation, scores: Mapping[str, DifferenceScore]) -> list[str]:
@@ -186,41 +173,21 @@ def get_difference(scores: Mapping[str, DifferenceScore], a: str, b: str) -> tup
     return None
 
 
-def _difference_cell(scores: Mapping[str, DifferenceScore], a: str, b: str) -> Cell:
-    """Return a cell with a difference score, emphasised and with a star where it is significant."""
-    known = get_difference(scores, a, b)
-    if known is None:
-        return Cell("" if a == b else UNKNOWN)
-    value, p = known
-    significant = p is not None and p < SIGNIFICANCE
-    return Cell(f"{format_signed(value)}{'*' if significant else ''}", strong=significant)
-
-
-def _average_cell(result: RecipeEvaluation, recipe: str, key: str) -> Cell:
-    """Return a cell with an average error, the marks of dominance, and the paper's figure."""
-    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in getattr(result, score).get(key, ()))
-    text = f"{format_energy(get_average_error(result, recipe, key))} {marks}".rstrip()
-    return Cell(text, format_published(published.get_mae(recipe, key, AVERAGE)))
-
-
-def _share_rows(
+def _tabulate_shares(
     result: RecipeEvaluation,
+    title: str,
     shares: Numbers,
-    columns: Sequence[str],
+    heads: Sequence[tuple[str, str]],
     paper: Callable[[str, str], float | None] = lambda _recipe, _column: None,
-) -> tuple[Row, ...]:
-    """Return a row of shares in percent for each model, beside those that follow from the paper."""
-    return tuple(
-        Row(
-            get_title(result, recipe),
-            tuple(
-                Cell(format_percent(shares[recipe].get(column)), format_published_share(paper(recipe, column)))
-                for column in columns
-            ),
-        )
-        for recipe in get_recipes(result)
-        if recipe in shares
-    )
+    notes: tuple[str, ...] = (),
+) -> ReportTable:
+    """Return a table of shares in percent of each model, beside those that follow from the paper."""
+
+    def make_cell(column: str, recipe: str) -> Cell:
+        return Cell(format_percent(shares[recipe].get(column)), format_published_share(paper(recipe, column)))
+
+    rows = name_recipes(result, [recipe for recipe in get_recipes(result) if recipe in shares])
+    return tabulate(title, "model", rows, [(head, partial(make_cell, column)) for column, head in heads], notes)
 
 
 def _said(result: RecipeEvaluation, finding: published.PaperFinding) -> str:

@@ -12,7 +12,7 @@ from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
 from socast.core.evaluate.paper.records import AccessoryPoint, RecipeEvaluation
 from socast.core.formatting import format_minus, format_range
 from socast.core.vehicles import AccessoryCurve
-from socast.tools.report.cells import format_cluster
+from socast.tools.report.evaluation.held_out import SPLITS, compute_means_by_split
 from socast.tools.report.evaluation.result import (
     get_average_error,
     get_recipes,
@@ -21,7 +21,6 @@ from socast.tools.report.evaluation.result import (
     list_vehicle_models,
     select_principal,
 )
-from socast.tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
 from socast.tools.report.evaluation.use_tables import (
     AXES,
     LEAST_COVERAGE,
@@ -48,6 +47,7 @@ from socast.tools.report.figure_style import (
     make_figure,
     make_stacked_figure,
 )
+from socast.tools.report.table import format_cluster
 
 PERCENT_TICKS = (5, 10, 15, 20, 30, 40, 60, 80, 100, 150, 200)
 """Tick values of a logarithmic axis of shares. [%]"""

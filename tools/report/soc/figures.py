@@ -11,7 +11,7 @@ from socast.core.evaluate.soc.records import ClusteredShare, ExampleShift, SocEv
 from socast.core.evaluate.soc.report import NOMINAL
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.document import Illustration
 from socast.tools.report.evaluation.result import get_vehicle_name
 from socast.tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
 from socast.tools.report.soc.tables import SHOWN_AT, format_bin

@@ -1,28 +1,21 @@
-"""Print the report of an evaluation in the terminal."""
-
-from typing import Final
+"""Print a report in the terminal."""
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from socast.core.evaluate.paper import published
-from socast.core.evaluate.paper.records import RecipeEvaluation
-from socast.tools.report.cells import PAPER_NOTE, Cell, ReportTable
-from socast.tools.report.evaluation.sections import Section, build_sections
+from socast.tools.report.document import Report, Section
+from socast.tools.report.table import PAPER_NOTE, Cell, ReportTable
 from socast.tools.terminal.rich_table import Column, make_table
 
-LAST: Final = "glance"
-"""Key of the section that is printed last, where readers look first."""
 
-
-def show(result: RecipeEvaluation, console: Console) -> None:
-    """Print the tables of an evaluation, with the principal figures last."""
-    shown = [section for section in build_sections(result) if not section.folded]
-    for section in sorted(shown, key=lambda section: section.key == LAST):
+def print_report(report: Report, console: Console, last: str = "") -> None:
+    """Print the sections of a report that have a table, the one with the key `last` after all others, and its notes."""
+    shown = [section for section in report.sections if section.tables and not section.folded]
+    for section in sorted(shown, key=lambda section: section.key == last):
         print_section(section, console)
-    for line in (*result.about.notes, f"“The paper” is “{published.load_paper().title}”."):
-        console.print(Text(line, style="yellow"))
+    for note in report.notes:
+        console.print(Text(note, style="yellow"))
 
 
 def print_section(section: Section, console: Console) -> None:
@@ -30,8 +23,7 @@ def print_section(section: Section, console: Console) -> None:
 
     A note that several tables share is printed once, below the last of them.
     """
-    console.print()
-    console.rule(Text(section.title, style="bold"), align="left")
+    print_heading(section.title, console)
     if section.text:
         console.print(Text(section.text, style="italic"))
     filled = [table for table in section.tables if table.rows]
@@ -42,6 +34,12 @@ def print_section(section: Section, console: Console) -> None:
         for note in table.all_notes:
             if last[note] == i or note == PAPER_NOTE:
                 console.print(Text(note, style="dim"))
+
+
+def print_heading(title: str, console: Console) -> None:
+    """Print the title of a part."""
+    console.print()
+    console.rule(Text(title, style="bold"), align="left")
 
 
 def _table(table: ReportTable) -> Table:

@@ -1,10 +1,12 @@
-"""Draw the selection of terms and the differences between models."""
+"""Show the removable terms of the hybrid model, section 5.2 of the paper, and the differences between models."""
 
 import math
+from typing import Final
 
 import plotly.graph_objects as go
 
-from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.records import EliminationStep, RecipeEvaluation
 from socast.core.formatting import format_minus
 from socast.core.stats.multiple_testing import SIGNIFICANCE
 from socast.tools.report.evaluation.error_tables import get_difference, list_compared
@@ -17,6 +19,62 @@ from socast.tools.report.figure_style import (
     make_figure,
     make_stacked_figure,
 )
+from socast.tools.report.table import (
+    FORMATS,
+    Cell,
+    ReportTable,
+    format_difference,
+    keep_filled,
+    tabulate,
+    tabulate_records,
+)
+
+BEYOND: Final = 3
+"""Number of terms that are listed after the last removable one."""
+
+
+def tabulate_selection(result: RecipeEvaluation) -> list[ReportTable]:
+    """Return the tables of removed terms, and of the loss as terms are removed one after the other."""
+    return keep_filled(tabulate_removed_terms(result), tabulate_steps(result))
+
+
+def tabulate_removed_terms(result: RecipeEvaluation) -> ReportTable:
+    """Return the terms that recursive elimination removed, with cross-validation (RFECV) and without (RFE). [kWh]"""
+    selection = result.selection
+    share = (selection.margin.share if selection.margin else None) or 0.0
+    names = {
+        "margin": f"With a margin: error shown to be at most {100.0 * share:g} % larger",
+        "rfecv": "RFECV: least cross-validated error",
+        "rfe": "RFE: no significant loss",
+    }
+    rows = [("constant columns", (Cell(", ".join(selection.constant)), ""))] if selection.constant else []
+    for key, name in names.items():
+        if (elimination := getattr(selection, key)) is not None:
+            theirs = [term.replace("_", " ") for found in published.get_findings(key) for term in found.terms]
+            removed = Cell(", ".join(elimination.removed) or "none", ", ".join(theirs) or "none")
+            rows.append((name, (removed, format_difference(elimination.loss, 4))))
+    note = (
+        "Half of the rides choose the terms. The other half show the increase of the mean absolute error without them. "
+        "RFE removes terms while no loss is significant, and few rides show hardly any. The margin asks that the "
+        "one-sided 95 % interval of the loss lies below it, and takes the terms of physics last."
+    )
+    columns = [("terms removed", lambda cells: cells[0]), ("loss, kWh", lambda cells: cells[1])]
+    return tabulate("Terms that can be removed (sections 5.2.1 and 5.2.2)", "elimination", rows, columns, (note,))
+
+
+def tabulate_steps(result: RecipeEvaluation) -> ReportTable:
+    """Return the loss as terms are removed one after the other, up to `BEYOND` terms after the last removable one."""
+    shown = next((each for each in (result.selection.margin, result.selection.rfe) if each and each.steps), None)
+    steps = (shown.steps or [])[: len(shown.removed) + BEYOND] if shown else []
+    return tabulate_records(
+        "Order in which terms are removed",
+        {f"{i}  {step.term}": step for i, step in enumerate(steps, start=1)},
+        EliminationStep,
+        corner="term",
+        fields=("loss", "p"),
+        notes=("Loss: increase of the mean absolute error when this term and all above it are removed.",),
+        formats={**FORMATS, "loss": lambda loss: format_difference(loss, 4)},
+    )
 
 
 def draw_elimination(result: RecipeEvaluation) -> go.Figure:
@@ -63,7 +121,7 @@ def draw_difference_matrix(result: RecipeEvaluation, vehicle_model: str) -> go.F
         customdata=values,
         x=[str(i) for i in range(1, len(names) + 1)],
         y=[f"{format_recipe_label(result, recipe)} · {i}" for i, recipe in enumerate(names, start=1)],
-        text=[[_score(score) for score in row] for row in scores],
+        text=[[_format_score(score) for score in row] for row in scores],
         texttemplate="%{text}",
         colorscale=DIVERGING,
         zmin=-most,
@@ -80,7 +138,7 @@ def draw_difference_matrix(result: RecipeEvaluation, vehicle_model: str) -> go.F
     return made
 
 
-def _score(score: tuple[float, float | None] | None) -> str:
+def _format_score(score: tuple[float, float | None] | None) -> str:
     """Return the text of a difference score in Wh, with a star where it is significant."""
     if score is None:
         return ""
