@@ -93,7 +93,7 @@ class SocEvaluation(_SocEvaluation, frozen=True):
 
     def plot(self) -> "go.Figure":
         """Return the mean absolute error by the time before the end of the shift, with baselines. [%]"""
-        return _import("socast.tools.report.soc.figures").draw_errors(self)
+        return _import("socast.tools.report.soc.page").draw_errors(self)
 
     def _repr_html_(self) -> str:
         return _render(

@@ -17,7 +17,7 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import write_places
 from socast.stream.mcap_writer import replace_recording
 from socast.stream.state_file import StateFile
-from socast.tools.terminal.findings_file import write_findings
+from socast.tools.terminal.night_watch import write_findings
 from socast.tools.terminal.output import write_file, write_json
 from socast.tools.terminal.table_files import ParquetTable
 

@@ -19,15 +19,16 @@ from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.fit.measured_rows import join_tables
 from socast.core.models import LinearModel
 from socast.tools.commands.diagnose import LeastGain, read_tables
-from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
     check_outputs,
     make_console,
+    print_plain,
     select_model_files,
     write_json,
 )
+from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 
@@ -77,7 +78,7 @@ def add_effect(
         page.write_report(history.build_trial_report(added.trial, surveys), html_file)
     history.print_trial(added.trial, console)
     if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"report in {html_file}")
     if not added.trial.accepted:
         undecided = added.trial.outcome == UNDECIDED
         if not (force or (undecided and even_if_undecided)):
@@ -89,8 +90,10 @@ def add_effect(
             )
         added = add.force_addition(added)
     models.save(added.model, out)
-    message = f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}"
-    console.print(message, markup=False, highlight=False, soft_wrap=True)
+    print_plain(
+        console,
+        f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}",
+    )
 
 
 def survey_both(

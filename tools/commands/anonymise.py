@@ -22,7 +22,7 @@ from socast.stream.source import merge_sources
 from socast.tools.anonymise.disguise import keeps_days, make_disguise
 from socast.tools.anonymise.message_rewriter import MessageRewriter
 from socast.tools.anonymise.sphere_map import find_centre
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 
 HOUR_NS: Final = 3_600_000_000_000
@@ -97,8 +97,7 @@ def anonymise(
     report = rewrite_recordings(sources, out, SystemRandom())
     write_json(json_file, "anonymise", report)
     console = make_console(json_file)
-    for line in describe(report, out):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, *describe(report, out))
     warn_of_losses(sources)
 
 

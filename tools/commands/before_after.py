@@ -15,8 +15,7 @@ from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.settings import Settings
 from socast.tools.commands.spikein import parse_size
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import (
     EffectFiles,

@@ -24,7 +24,6 @@ from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
-from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
@@ -32,17 +31,19 @@ from socast.core.models.features import EFFECT_PREFIX, FEATURES, list_scope
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.elapsed_time import show_elapsed
-from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
+from socast.tools.terminal.night_watch import read_findings, show_changes, write_findings
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
     check_outputs,
     make_console,
+    print_plain,
     select_model_files,
     show_report,
+    write_file,
     write_json,
 )
+from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY
 
@@ -151,8 +152,10 @@ def diagnose_rides(
     if findings:
         show_changes(earlier, after, console)
     if out is not None:
-        message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
-        console.print(message, markup=False, highlight=False, soft_wrap=True)
+        print_plain(
+            console,
+            f"{out}: version {loaded.version}; show its steps: socast history {out}",
+        )
 
 
 def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
@@ -338,8 +341,5 @@ def _write_suggestion(result: Diagnosis, path: Path | None) -> str | None:
     """Write the form outside the library if there is one and a path is given, and return the path."""
     if not (path and result.unknown):
         return None
-    try:
-        write_whole(path, result.unknown[0].file.encode())
-    except OSError as error:
-        raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
+    write_file(path, result.unknown[0].file.encode())
     return str(path)

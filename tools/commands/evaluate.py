@@ -1,8 +1,7 @@
 """`socast evaluate`: evaluate every model on held-out rides, as the paper does and beyond the paper."""
 
 import time
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -10,8 +9,7 @@ from typing import Annotated
 import joblib
 import typer
 from msgspec.structs import replace
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
@@ -27,6 +25,7 @@ from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, 
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, show_report, write_json
+from socast.tools.terminal.progress import show_bar
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY, is_table
 
@@ -123,7 +122,8 @@ def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) 
     """Return the evaluation, by processes of this command or by workers."""
     if place is None:
         plan = plan_job(job)
-        with running() as step:
+        columns = (MofNCompleteColumn(), TextColumn("runs"), TimeElapsedColumn(), TimeRemainingColumn())
+        with show_bar("evaluating", *columns, total=None) as step:
             return tabulate_runs(plan, run_in_parallel(plan.calls, jobs or joblib.cpu_count(), step))
     if jobs is not None:
         raise SettingsError("--jobs and --cluster both say how many processes work; give one of the two")
@@ -132,20 +132,3 @@ def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) 
         open_workers(place, Path(folder), "evaluation") as workers,
     ):
         return evaluate_by_workers(job, workers)
-
-
-@contextmanager
-def running() -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error; yield the function that updates it with the number of finished runs."""
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("evaluating"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("evaluating", total=None)
-        yield lambda done, of: progress.update(task, completed=done, total=of)

@@ -20,9 +20,8 @@ from socast.core.settings import Settings
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import open_elevation
 from socast.stream.source import Source, merge_sources
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles, warn_outside
-from socast.tools.terminal.forecast_run import run_forecasts
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options, warn_outside
+from socast.tools.terminal.forecast_options import run_forecasts
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 from socast.tools.terminal.output import (
     EffectFiles,

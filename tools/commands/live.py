@@ -12,11 +12,10 @@ from socast.stream.loop import REPORT_S
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import LOOPBACK, Connection, Mode
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
-from socast.tools.terminal.limit_options import insert_limit_options
+from socast.tools.terminal.live_options import RecordingOptions, insert_limit_options, insert_recording_options
 from socast.tools.terminal.live_service import LiveOptions, serve
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import make_console
-from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
 from socast.tools.terminal.settings_file import SettingsFile
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 

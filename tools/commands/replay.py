@@ -33,17 +33,17 @@ from socast.stream.zenoh_delivery import ZenohDelivery
 from socast.stream.zenoh_session import Connection, Node, parse_prefix
 from socast.tools.foxglove.recording import FoxgloveRecording
 from socast.tools.foxglove.schemas import SCHEMAS
-from socast.tools.terminal.elevation_option import warn_outside
+from socast.tools.terminal.cleaning_options import warn_outside
 from socast.tools.terminal.forecast_options import (
     ForecastOptions,
     describe_forecasts,
     insert_forecast_options,
     make_pipeline,
+    run_forecasts,
 )
-from socast.tools.terminal.forecast_run import run_forecasts
 from socast.tools.terminal.live_table import add_predictions, make_ride_records, show_rides
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_records, show_models
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, print_plain, write_json
 from socast.tools.terminal.recordings import (
     Recordings,
     open_recordings,
@@ -233,7 +233,7 @@ class _Expectation:
     def show(self, comparison: TableComparison | str, console: Console) -> None:
         """Print whether forecasts are as expected, or what an update has changed."""
         if self.wanted is None or isinstance(comparison, str):
-            console.print(describe_update(self.file, comparison), markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, describe_update(self.file, comparison))
             return
         show_comparison(comparison, console)
         if not comparison.compared:
@@ -258,9 +258,9 @@ class _Report:
             show_models(console, self.errors, self.models, self.rides)
         show_outcomes(console, self.result["shifts"], zone)
         if self.advice:
-            console.print(self.advice, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+            print_plain(console, self.advice, wraps=True)
         if layout:
-            console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"layout for Foxglove in {layout}")
         warn_outside(self.quality)
         warn_of_loggers(self.quality)
 

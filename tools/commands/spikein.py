@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from rich.progress import TaskProgressColumn, TimeRemainingColumn
 
 from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
@@ -15,8 +16,17 @@ from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import write_spiked
 from socast.tools.spikein.records import SpikeTruth
 from socast.tools.spikein.spike import Spike
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, show_report, write_json
-from socast.tools.terminal.recordings import Recordings, open_recordings, show_shares, warn_of_losses
+from socast.tools.terminal.output import (
+    HtmlFile,
+    JsonFile,
+    check_outputs,
+    make_console,
+    print_plain,
+    show_report,
+    write_json,
+)
+from socast.tools.terminal.progress import show_bar
+from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 
 LARGEST: Final = 0.5
 """Largest size of an effect. [1]"""
@@ -92,8 +102,7 @@ def spikein(
     truth = write_spiked(sources, Spike(effect, parse_size(size), cars, begin, seed), out)
     write_json(json_file, "spikein", truth)
     console = make_console(json_file)
-    for line in describe(truth, out, truth_file):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, *describe(truth, out, truth_file))
     warn_of_losses(sources)
 
 
@@ -110,7 +119,7 @@ def _score(recordings: list[Path], choice: ScoreChoice, html_file: Path | None, 
         get_power(name)
     open_recordings(recordings)
     check_outputs(recordings, html_file, json_file)
-    with show_shares("scoring") as report:
+    with show_bar("scoring", TaskProgressColumn(), TimeRemainingColumn()) as report:
         result = score_spikes(recordings, choice, report)
     write_json(json_file, "spikein-score", result)
     show_report("spikein", result, html_file, json_file)

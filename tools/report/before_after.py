@@ -12,7 +12,7 @@ from rich.text import Text
 from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
 from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus, word_date
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_report
 from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
 from socast.tools.report.table import (
     FORMATS,
@@ -23,7 +23,6 @@ from socast.tools.report.table import (
     tabulate,
     tabulate_records,
 )
-from socast.tools.report.terminal import print_report
 
 SIDES: Final = (("before", "off", 1), ("after", "on", 4))
 """Name of the days before and after, the same of days off and on, and the place of their style."""
@@ -194,10 +193,8 @@ def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:
                 line={"color": look.colour, "width": 2.5, "dash": "solid" if place else "dash"},
             ),
         ]
-    figure = make_figure(traces, 420)
-    figure.layout.xaxis.title.text = "date [UTC]"
-    figure.layout.yaxis.title.text = "consumption beside siblings [%]"
-    figure.layout.yaxis.range = _find_range(one)
+    y = {"title_text": "consumption beside siblings [%]", "range": _find_range(one)}
+    figure = make_figure(traces, 420, x={"title_text": "date [UTC]"}, y=y)
     if result.at is not None:
         milliseconds = 1000.0 * datetime.fromisoformat(result.at).replace(tzinfo=UTC).timestamp()
         add_reference_line(figure, escape_label(result.what or result.at), milliseconds)
@@ -242,10 +239,8 @@ def draw_placebos(result: BeforeAfter, change: CarChange) -> go.Figure:
         y=counts.tolist(),
         marker={"color": look.colour},
     )
-    figure = make_figure([bars], 320)
-    figure.layout.bargap = 0.05
-    figure.layout.xaxis.title.text = "estimated change [%]"
-    figure.layout.yaxis.title.text = "placebo campaigns [1]"
+    x, y = {"title_text": "estimated change [%]"}, {"title_text": "placebo campaigns [1]"}
+    figure = make_figure([bars], 320, x, y, bargap=0.05)
     add_reference_line(figure, "estimate", 100.0 * change.change)
     return figure
 

@@ -10,10 +10,9 @@ from socast.core.condition.records import CarCondition, ConditionStep, FleetCond
 from socast.core.formatting import format_minus, word_date
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_section
 from socast.tools.report.figure_style import REFERENCE_LINE, get_style, make_figure
 from socast.tools.report.table import UNKNOWN, ReportTable, format_count, tabulate
-from socast.tools.report.terminal import print_section
 
 TITLE: Final = "Condition of the cars"
 MOST_DESCRIBED: Final = 8
@@ -231,8 +230,6 @@ def draw_car(car: CarCondition) -> go.Figure:
                 x=trend.dates, y=middle, mode="lines", line={"color": look.colour, "dash": look.dash}, name=name
             ),
         ]
-    made = make_figure(traces, 280)
+    made = make_figure(traces, 280, x={"title_text": "date [UTC]"}, y={"title_text": "beside expected [%]"})
     made.add_hline(y=0.0, line=REFERENCE_LINE)
-    made.layout.xaxis.title = "date [UTC]"
-    made.layout.yaxis.title = "beside expected [%]"
     return made

@@ -4,8 +4,9 @@ No information is in colour alone, so figures can be read in black and white. Co
 and dark backgrounds; text and grid take the colours of the page.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import plotly.graph_objects as go
@@ -112,15 +113,24 @@ def format_recipe_label(result: RecipeEvaluation, recipe: str, width: int = 30) 
     return "<br>".join(escape_label(line) for line in lines)
 
 
-def make_figure(traces: list[Any], height: int = 420) -> go.Figure:
-    """Return a figure of traces in the common layout.
+def make_figure(
+    traces: list[Any],
+    height: int = 420,
+    x: Mapping[str, Any] = MappingProxyType({}),
+    y: Mapping[str, Any] = MappingProxyType({}),
+    **layout: Any,
+) -> go.Figure:
+    """Return a figure of traces in the common layout, with properties of its axes and of the layout.
 
     Parameters
     ----------
     height : int
         Height of the plot and its axes; the page adds that of the legend. [px]
     """
-    return apply_layout(go.Figure(traces), height)
+    made = apply_layout(go.Figure(traces), height)
+    made.update_xaxes(**x)
+    made.update_yaxes(**y)
+    return made.update_layout(**layout)
 
 
 def make_stacked_figure(titles: tuple[str, ...], height: int) -> go.Figure:

@@ -23,9 +23,9 @@ from socast.core.fit.records import read_fit_step
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
 from socast.tools.report.comparison.failures import illustrate_change
-from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
+from socast.tools.report.diagnosis.finding_words import describe_coefficient
 from socast.tools.report.diagnosis.sentences import format_energy
-from socast.tools.report.document import Drawing, Illustration, Report, Section
+from socast.tools.report.document import Drawing, Illustration, Report, Section, print_section
 from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
 from socast.tools.report.table import (
     FORMATS,
@@ -37,7 +37,6 @@ from socast.tools.report.table import (
     keep_filled,
     tabulate_records,
 )
-from socast.tools.report.terminal import print_section
 
 HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
     {

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from socast.core.formatting import format_count as count_things
 from socast.tools.report.diagnosis.tables import format_coefficient
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_report
 from socast.tools.report.figure_style import escape_label, get_style, make_figure
 from socast.tools.report.table import (
     FORMATS,
@@ -22,7 +22,6 @@ from socast.tools.report.table import (
     tabulate,
     tabulate_records,
 )
-from socast.tools.report.terminal import print_report
 from socast.tools.spikein.records import VISIBLE, FoundShare, PlaceboName, SpikeScore, SpikeScores
 
 FOUND: Final = "found"
@@ -181,10 +180,11 @@ def draw_outcomes(scores: Sequence[SpikeScore]) -> go.Figure:
                     marker={"symbol": symbol, "size": 12, "color": get_style(place + 2).colour},
                 )
             )
-    figure = make_figure(traces, 120 + 24 * len(names))
-    figure.layout.showlegend = True  # plotly hides the legend of a single outcome
-    figure.layout.xaxis.tickvals = sorted({100.0 * score.size for score in scores})
-    figure.layout.xaxis.title.text = "Energy of the effect over that of the cars [%]"
-    figure.layout.yaxis.categoryorder = "array"
-    figure.layout.yaxis.categoryarray = [escape_label(name) for name in names]
-    return figure
+    sizes, title = sorted({100.0 * score.size for score in scores}), "Energy of the effect over that of the cars [%]"
+    return make_figure(
+        traces,
+        120 + 24 * len(names),
+        x={"tickvals": sizes, "title_text": title},
+        y={"categoryorder": "array", "categoryarray": [escape_label(name) for name in names]},
+        showlegend=True,  # plotly hides the legend of a single outcome
+    )

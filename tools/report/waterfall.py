@@ -19,7 +19,7 @@ from socast.core.condition.energy_split import (
 )
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.formatting import format_count, format_minus
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_report
 from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_error_bars, make_figure
 from socast.tools.report.table import (
     FORMATS,
@@ -32,7 +32,6 @@ from socast.tools.report.table import (
     tabulate,
     tabulate_records,
 )
-from socast.tools.report.terminal import print_report
 
 TITLE: Final = "Where the energy goes"
 PARTS: Final = "parts"
@@ -271,12 +270,10 @@ def draw_waterfall(group: GroupEnergy) -> go.Figure:
                 hovertemplate="%{y}: %{customdata} kWh/100 km<extra></extra>",
             )
         )
-    made = make_figure(traces, 110 + STEP_HEIGHT * len(steps))
-    made.layout.barmode = "overlay"
-    made.layout.xaxis.title.text = "Energy per distance [kWh/100 km]"
-    made.layout.xaxis.zeroline = True
-    made.layout.yaxis.title.text = "Part"
-    made.layout.yaxis.type = "category"
-    made.layout.yaxis.categoryorder = "array"
-    made.layout.yaxis.categoryarray = labels[::-1]
-    return made
+    return make_figure(
+        traces,
+        110 + STEP_HEIGHT * len(steps),
+        x={"title_text": "Energy per distance [kWh/100 km]", "zeroline": True},
+        y={"title_text": "Part", "type": "category", "categoryorder": "array", "categoryarray": labels[::-1]},
+        barmode="overlay",
+    )

@@ -145,6 +145,12 @@ def make_console(json_file: Path | None = None) -> Console:
     return _PipedConsole(stderr=stderr, width=PIPE_WIDTH)
 
 
+def print_plain(console: Console, *lines: str, style: str = "", wraps: bool = False) -> None:
+    """Print lines as they are, without markup; a line is broken only if it `wraps` and the output is a terminal."""
+    for line in lines:
+        console.print(line, style=style, markup=False, highlight=False, soft_wrap=not (wraps and console.is_terminal))
+
+
 def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:
     """Write a report as JSON: first its format, then its fields, with NaN and infinity as null.
 
@@ -193,7 +199,7 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
         import_module("socast.tools.report.page").write_report(shown.build_report(result, **options), html_file)
     shown.show(result, console, **options)
     if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"report in {html_file}")
 
 
 def select_model_files(given: Iterable[str]) -> list[Path]:

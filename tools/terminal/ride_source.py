@@ -29,8 +29,7 @@ from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.run import tabulate_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, word_settings
-from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options, word_settings
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import EffectFiles, VehicleFiles
 from socast.tools.terminal.recordings import (
@@ -40,8 +39,17 @@ from socast.tools.terminal.recordings import (
     show_progress,
     warn_of_losses,
 )
-from socast.tools.terminal.table_files import KEY, PARQUET, ParquetTable, is_table, is_window_table, join_parts, read
-from socast.tools.terminal.table_source import are_dated, complete_tables
+from socast.tools.terminal.table_files import (
+    KEY,
+    PARQUET,
+    ParquetTable,
+    are_dated,
+    complete_tables,
+    is_table,
+    is_window_table,
+    join_parts,
+    read,
+)
 
 RIDES, WINDOWS = "rides.parquet", "windows.parquet"
 ROW_GROUP: Final = 2000

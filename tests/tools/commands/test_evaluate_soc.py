@@ -23,7 +23,6 @@ from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 from socast.tools.importers.synthetic_shifts import concatenate_drives
 from socast.tools.report.page import write_report
-from socast.tools.report.soc import figures as drawn
 from socast.tools.report.soc import page as report
 from socast.tools.report.soc.tables import (
     compare_with_best,
@@ -188,7 +187,7 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 
 def test_scatter_shows_each_shift_once_at_its_values(result):
-    inside, outside, _ = drawn.draw_scatter(result).data
+    inside, outside, _ = report.draw_scatter(result).data
     group = result.overall.hours["2"]
     assert len(inside.x) + len(outside.x) == group.n
     assert len(inside.x) / group.n == pytest.approx(group.coverage.value)
@@ -196,7 +195,7 @@ def test_scatter_shows_each_shift_once_at_its_values(result):
 
 def test_risk_figure_shows_forecast_and_observed_risk():
     result = evaluate_soc(*make_frames(cars=6, days=9))
-    *traces, equal = drawn.draw_risk(result).data
+    *traces, equal = report.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
@@ -222,18 +221,18 @@ def coverages(*clusters):
 
 
 def test_figure_of_few_vehicle_days_shows_only_interval():
-    points, lines = drawn.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
+    points, lines = report.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
     assert lines.mode == "lines"
     assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
     assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
-    (alone,) = drawn.draw_coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
+    (alone,) = report.draw_coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
     assert alone.y == (80.0, 80.0)
 
 
 def test_groups_keep_their_order_even_if_too_small():
-    made = drawn.draw_coverage(coverages(40, 2, 50), "Group [1]")
+    made = report.draw_coverage(coverages(40, 2, 50), "Group [1]")
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
@@ -244,7 +243,7 @@ def test_interval_of_width_or_error_never_goes_below_zero(result):
         none = {name: replace(each, mae_pct=EstimatedValue()) for name, each in result.overall.pooled.baselines.items()}
         hours[ahead] = replace(result.overall.pooled, width_pct=width, mae_pct=width, baselines=none)
     result = replace(result, overall=replace(result.overall, hours=hours))
-    for trace in (drawn.draw_width(result).data[0], drawn.draw_errors(result).data[0]):
+    for trace in (report.draw_width(result).data[0], report.draw_errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
         assert trace.error_y.symmetric is False
@@ -311,7 +310,7 @@ def test_share_of_few_vehicle_days_is_not_shown(result):
 
 def test_fan_of_example_ends_at_end_of_shift(result):
     for shift in result.examples:
-        upper, lower, mean, _, became = drawn.draw_example(shift).data
+        upper, lower, mean, _, became = report.draw_example(shift).data
         assert became.y == (shift.soc_end_pct,)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 

@@ -8,13 +8,13 @@ from rich.console import Console
 
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.tools.commands.diagnose import insert_commands
-from socast.tools.report.diagnosis.deviations import (
+from socast.tools.report.diagnosis.figures import draw_deviations
+from socast.tools.report.diagnosis.finding_words import (
     DIRECTIONS,
     describe_deviation,
     describe_deviations,
     describe_spread,
 )
-from socast.tools.report.diagnosis.figures import draw_deviations
 from socast.tools.report.diagnosis.page import print_step
 from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 from socast.tools.terminal.ride_source import RideSource

@@ -10,7 +10,7 @@ from rich.console import Console
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
-from socast.tools.report.diagnosis.episodes import advise_looking, describe_episodes, tabulate_episodes
+from socast.tools.report.diagnosis.finding_words import advise_looking, describe_episodes, tabulate_episodes
 from socast.tools.report.page import write_report
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_episode

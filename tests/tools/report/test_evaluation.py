@@ -15,6 +15,7 @@ from socast.core.errors import SettingsError
 from socast.core.evaluate.binning import SEASONS
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.tools.report.document import print_section
 from socast.tools.report.evaluation import selection
 from socast.tools.report.evaluation.page import (
     MAKERS,
@@ -27,7 +28,6 @@ from socast.tools.report.evaluation.page import (
 from socast.tools.report.figure_style import get_style
 from socast.tools.report.page import render_report, write_report
 from socast.tools.report.table import PAPER_NOTE, UNKNOWN
-from socast.tools.report.terminal import print_section
 from socast.tools.terminal.output import REPORT_VERSIONS
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation, hold
 from tests.support.html_pages import read_page
@@ -51,7 +51,7 @@ def printed_changes(result, before):
     known = build_sections(before)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "socast.tools.report.terminal.print_section",
+            "socast.tools.report.document.print_section",
             lambda section, console: None if section in known else print_section(section, console),
         )
         return printed(result)

@@ -94,10 +94,12 @@ def draw_scatter(result: Comparison, model: str, every: int = 1) -> go.Figure:
         for sign in (1.0, -1.0):
             line = {"width": 1, "dash": dash, "color": REFERENCE_LINE["color"]}
             lines.append(_line(f"±{band} %", sign * band / 100.0, [0.0, ends[1]], line, shown=sign > 0.0))
-    made = make_figure([points, *lines], 400)
-    made.update_xaxes(title_text="Measured energy of a ride [kWh]")
-    made.update_yaxes(title_text="Predicted energy of a ride [kWh]")
-    return made
+    return make_figure(
+        [points, *lines],
+        400,
+        x={"title_text": "Measured energy of a ride [kWh]"},
+        y={"title_text": "Predicted energy of a ride [kWh]"},
+    )
 
 
 def _line(
@@ -237,11 +239,11 @@ def draw_difference_terms(against: DatasetContrast, model: str) -> go.Figure:
     made = make_figure(
         [draw_dots("second less first", get_look(against, model), x, [escape_label(name) for name, _ in rows], spread)],
         120 + 26 * len(rows),
+        x={"title_text": "Difference in consumption [kWh/100 km]"},
+        y={"title_text": "Part of the difference", "type": "category"},
+        showlegend=False,
     )
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
-    made.update_xaxes(title_text="Difference in consumption [kWh/100 km]")
-    made.update_yaxes(title_text="Part of the difference", type="category")
-    made.update_layout(showlegend=False)
     return made
 
 

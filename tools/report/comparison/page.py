@@ -11,10 +11,9 @@ from socast.core.formatting import format_count
 from socast.tools.report.comparison import figures, tables
 from socast.tools.report.comparison.failures import describe_failures, illustrate_failures, list_pictures
 from socast.tools.report.comparison.trace import illustrate_traces
-from socast.tools.report.document import Illustration, Report, Section
-from socast.tools.report.evaluation.data_tables import MEASURED_BY
+from socast.tools.report.document import Illustration, Report, Section, print_section
+from socast.tools.report.evaluation.tables import MEASURED_BY
 from socast.tools.report.table import format_estimate, format_percent
-from socast.tools.report.terminal import print_section
 
 FAILURES: Final = "failures"
 MODELS: Final = "models"

@@ -19,7 +19,7 @@ from socast.tools.report.comparison.ride_figures import (
     list_maps,
 )
 from socast.tools.report.comparison.tables import name_ride
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_section
 from socast.tools.report.figure_style import Style, draw_bars, escape_label, get_style, make_figure, make_stacked_figure
 from socast.tools.report.table import (
     UNKNOWN,
@@ -31,7 +31,6 @@ from socast.tools.report.table import (
     tabulate,
     tabulate_records,
 )
-from socast.tools.report.terminal import print_section
 
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""
@@ -214,10 +213,8 @@ def draw_powers(trace: RideTrace) -> go.Figure:
     traces = [_draw_power("measured", MEASURED, trace, trace.windows.measured_kwh, width=3)]
     for place, (name, of_model) in enumerate(trace.models.items()):
         traces.append(_draw_power(escape_label(name), get_model_style(place), trace, of_model.energy_kwh))
-    made = make_figure(traces, 400)
+    made = make_figure(traces, 400, x={"title_text": AXES["end_min"]}, y={"title_text": "Mean power of a window [kW]"})
     _shade(made, trace, [0.0, *trace.windows.end_min])
-    made.update_xaxes(title_text=AXES["end_min"])
-    made.update_yaxes(title_text="Mean power of a window [kW]")
     return made
 
 
@@ -233,11 +230,13 @@ def draw_terms(trace: RideTrace, model: str) -> go.Figure:
         power = convert_to_power(trace, energy)
         traces.append(draw_bars(escape_label(name), look, power, middle, orientation=None, width=width))
     traces.append(_draw_power("measured", MEASURED, trace, trace.windows.measured_kwh, width=3))
-    made = make_figure(traces, 420)
-    made.update_layout(barmode="relative")
-    made.update_xaxes(title_text=AXES["end_min"])
-    made.update_yaxes(title_text="Mean power of a window [kW]")
-    return made
+    return make_figure(
+        traces,
+        420,
+        x={"title_text": AXES["end_min"]},
+        y={"title_text": "Mean power of a window [kW]"},
+        barmode="relative",
+    )
 
 
 def _largest(energies: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:

@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 from socast.core.diagnose.add.terms import name_scoped
 from socast.core.diagnose.records import CarDeviation, CauseProbability, Diagnosis, LocatedLoad, NamedEffect
 from socast.core.records import ConfidenceInterval
-from socast.tools.report.diagnosis.deviations import describe_deviation
+from socast.tools.report.diagnosis.finding_words import describe_deviation
 from socast.tools.report.diagnosis.location_sentences import LEVEL_NAMES
 from socast.tools.report.diagnosis.residual_figures import (
     describe_coefficient,
@@ -168,9 +168,11 @@ def _draw_rows(
     name: str, names: Sequence[str], values: Sequence[float], spans: Sequence[ConfidenceInterval | None], *, place: int
 ) -> go.Figure:
     """Draw one point per row with an interval that need not be symmetric."""
-    made = make_figure([draw_interval_rows(name, get_style(place), names, values, spans)], 100 + ROW * len(names))
-    made.update_yaxes(type="category", autorange="reversed")
-    return made
+    return make_figure(
+        [draw_interval_rows(name, get_style(place), names, values, spans)],
+        100 + ROW * len(names),
+        y={"type": "category", "autorange": "reversed"},
+    )
 
 
 def _to_percent(span: ConfidenceInterval | None) -> ConfidenceInterval | None:
@@ -202,10 +204,14 @@ def draw_causes(
         for name, style, group in (("effect of the library", 2, named), ("no effect of the library", 0, apart))
         if group
     ]
-    made = make_figure(traces, 100 + CAUSE_ROW * (len(named) + len(apart)))
-    made.update_layout(barmode="overlay", showlegend=False)
-    made.update_xaxes(title_text="Probability [%]", range=[0.0, 108.0], tickvals=[0, 20, 40, 60, 80, 100])
-    made.update_yaxes(title_text="Cause", type="category", autorange="reversed")
+    made = make_figure(
+        traces,
+        100 + CAUSE_ROW * (len(named) + len(apart)),
+        x={"title_text": "Probability [%]", "range": [0.0, 108.0], "tickvals": [0, 20, 40, 60, 80, 100]},
+        y={"title_text": "Cause", "type": "category", "autorange": "reversed"},
+        barmode="overlay",
+        showlegend=False,
+    )
     caption = (
         "Blue: effects of the library. Grey: a cause outside the library, and that no effect is missing. Others: "
         "effects that are less probable than 0.5 %."

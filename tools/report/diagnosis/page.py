@@ -12,12 +12,11 @@ from rich.style import Style
 from rich.text import Text
 
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
-from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
+from socast.tools.report.diagnosis import figures, finding_words, sentences, tables
 from socast.tools.report.diagnosis.location_sentences import describe_location
 from socast.tools.report.diagnosis.residual_figures import is_drawn, name_figure
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_heading, print_section
 from socast.tools.report.page import COMMAND, NO_BREAK, keep_units
-from socast.tools.report.terminal import print_heading, print_section
 
 LIST_MARK: Final = re.compile(r"- |\d+\. ")
 NONE_MISSING: Final = "No effect of the library is probable enough to be named."
@@ -46,7 +45,7 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
     print_heading(f"Diagnosis of {result.model.name}, version {result.model.version}", console)
     print_lines(sentences.describe_verdict(result), console, strong=True)
     print_lines(sentences.describe_data(result), console)
-    _print_part("Episodes", episodes.describe_episodes(result), console)
+    _print_part("Episodes", finding_words.describe_episodes(result), console)
     _print_part("Error", sentences.describe_error(result), console)
     failures, slices = sentences.describe_failures(result), tables.tabulate_slices(result)
     if slices.rows:
@@ -57,7 +56,7 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
         print_lines(failures, console)
     _print_part("Location of the error", describe_location(result), console)
     _print_missing_effects(result, console)
-    _print_part("Cars and changes", deviations.describe_deviations(result), console)
+    _print_part("Cars and changes", finding_words.describe_deviations(result), console)
     print_heading("Remaining error", console)
     print_lines([*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)], console)
     print_heading("Next step", console)
@@ -74,9 +73,9 @@ def _print_part(title: str, lines: Sequence[str], console: Console) -> None:
 def print_step(result: Diagnosis, step: int, first: NamedEffect | CarDeviation | None, console: Console) -> None:
     """Print the result of one step of the automatic loop, and what it adds, in a few lines."""
     print_heading(f"Step {step}", console)
-    print_lines(episodes.describe_leading_episode(result), console)
+    print_lines(finding_words.describe_leading_episode(result), console)
     if first is None or isinstance(first, CarDeviation):
-        lines = [sentences.describe_end(result)] if first is None else deviations.describe_finding(first)
+        lines = [sentences.describe_end(result)] if first is None else finding_words.describe_finding(first)
         print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
@@ -155,8 +154,8 @@ def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Sect
         Section(
             "episodes",
             "Episodes",
-            _end_sentences([line for line in episodes.describe_episodes(result) if not line.startswith(COMMAND)]),
-            [episodes.tabulate_episodes(result)],
+            _end_sentences([line for line in finding_words.describe_episodes(result) if not line.startswith(COMMAND)]),
+            [finding_words.tabulate_episodes(result)],
         ),
         Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
@@ -173,7 +172,7 @@ def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Sect
             " ".join(line[:1].upper() + line[1:] for line in missing) or NONE_MISSING,
             [tables.tabulate_missing_effects(result)],
         ),
-        Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),
+        Section("cars", "Cars and changes", _end_sentences(finding_words.describe_deviations(result)), []),
         Section("remains", "Remaining error", _end_sentences(remainder), [tables.tabulate_unknown(result)]),
         Section("candidates", "All candidate effects", " ".join(rivals), [tables.tabulate_candidates(result)]),
     ]

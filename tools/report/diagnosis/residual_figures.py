@@ -18,7 +18,7 @@ from socast.core.diagnose.records import (
     ResidualBins,
     ResidualProfile,
 )
-from socast.tools.report.diagnosis.coefficient_words import format_unit
+from socast.tools.report.diagnosis.finding_words import format_unit
 from socast.tools.report.document import Illustration
 from socast.tools.report.figure_style import (
     REFERENCE_LINE,

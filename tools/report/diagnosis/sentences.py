@@ -19,9 +19,14 @@ from socast.core.diagnose.records import (
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
 from socast.tools.report.comparison.tables import UNITS, format_bin
-from socast.tools.report.diagnosis.coefficient_words import describe_coefficient, format_unit
-from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
-from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
+from socast.tools.report.diagnosis.finding_words import (
+    advise_looking,
+    advise_test,
+    describe_coefficient,
+    describe_finding,
+    describe_leading_episode,
+    format_unit,
+)
 from socast.tools.report.diagnosis.location_sentences import advise_recording
 from socast.tools.report.table import format_chance, format_count, format_difference, format_digits, format_percent
 

@@ -12,7 +12,7 @@ from socast.core.diagnose.records import (
 )
 from socast.core.formatting import format_minus
 from socast.tools.report.diagnosis import sentences
-from socast.tools.report.diagnosis.coefficient_words import format_unit
+from socast.tools.report.diagnosis.finding_words import format_unit
 from socast.tools.report.table import FORMATS, UNKNOWN, Cell, ReportTable, Row, format_digits, tabulate_records
 
 BIAS_NOTE: Final = (

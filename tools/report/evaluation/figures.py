@@ -68,8 +68,7 @@ def draw_accessory_curve(result: RecipeEvaluation, vehicle_model: str) -> go.Fig
         traces.append(_points(power.points, look))
     if power.curve:
         traces += _five_segments(AccessoryCurve(**power.curve), look, [point.ambient_c for point in power.points])
-    made = make_figure(traces, 340)
-    made.update_xaxes(title_text="Outside temperature [°C]")
+    made = make_figure(traces, 340, x={"title_text": "Outside temperature [°C]"})
     powers = [0.0, *(y for trace in traces for y in trace.y)]
     room = 0.12 * (max(powers) - min(powers))
     made.update_yaxes(title_text="Climate and accessory power [kW]", range=[min(powers) - room, max(powers) + room])
@@ -248,8 +247,7 @@ def draw_coverage(result: RecipeEvaluation) -> go.Figure:
         shares = [_times(value, 100.0) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
-    made = make_figure(traces, 400)
-    made.update_layout(scattermode="group", scattergap=0.5)
+    made = make_figure(traces, 400, scattermode="group", scattergap=0.5)
     for share in (NOMINAL, LEAST_COVERAGE):
         made.add_hline(y=100.0 * share, line=REFERENCE_LINE)
     made.update_xaxes(title_text="Rides of", type="category")
@@ -275,15 +273,17 @@ def _by_model(
     result: RecipeEvaluation, names: Sequence[str], traces: list[Any], unit: str, row_height: int
 ) -> go.Figure:
     """Return a figure with one row of dots per model."""
-    made = make_figure(traces, 90 + row_height * len(names))
-    made.update_xaxes(title_text=unit, rangemode="tozero")
-    made.update_yaxes(
-        title_text="Model",
-        tickvals=list(range(len(names))),
-        ticktext=[format_recipe_label(result, recipe) for recipe in names],
-        range=[len(names) - 0.4, -0.6],
+    return make_figure(
+        traces,
+        90 + row_height * len(names),
+        x={"title_text": unit, "rangemode": "tozero"},
+        y={
+            "title_text": "Model",
+            "tickvals": list(range(len(names))),
+            "ticktext": [format_recipe_label(result, recipe) for recipe in names],
+            "range": [len(names) - 0.4, -0.6],
+        },
     )
-    return made
 
 
 def _offset(place: int, of: int) -> float:

@@ -253,8 +253,7 @@ def draw_few_shot(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
         name, spreads = format_recipe_label(result, recipe), [point.ci95 for point in points.values()]
         trace = draw_curve(name, get_recipe_style(result, recipe), x, y, spreads)
         traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
-    made = make_figure(traces, 360)
-    made.update_layout(showlegend=True)
+    made = make_figure(traces, 360, showlegend=True)
     ticks = sorted(numbers)
     made.update_xaxes(
         title_text="Rides of the new vehicle model seen [number]",

@@ -11,10 +11,8 @@ from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import PHYSICAL
 from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.stats.multiple_testing import SIGNIFICANCE
-from socast.tools.report.document import Illustration, Report, Section
+from socast.tools.report.document import Illustration, Report, Section, print_report
 from socast.tools.report.evaluation import figures, held_out, selection
-from socast.tools.report.evaluation.data_tables import tabulate_data
-from socast.tools.report.evaluation.error_tables import tabulate_differences, tabulate_errors, tabulate_summaries
 from socast.tools.report.evaluation.held_out import tabulate_all_splits, tabulate_transfer
 from socast.tools.report.evaluation.percentage_tables import (
     HELD_OUT,
@@ -38,6 +36,12 @@ from socast.tools.report.evaluation.result import (
     select_principal,
 )
 from socast.tools.report.evaluation.selection import tabulate_selection
+from socast.tools.report.evaluation.tables import (
+    tabulate_data,
+    tabulate_differences,
+    tabulate_errors,
+    tabulate_summaries,
+)
 from socast.tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins, tabulate_places, tabulate_reserve
 from socast.tools.report.table import (
     Cell,
@@ -48,7 +52,6 @@ from socast.tools.report.table import (
     keep_filled,
     tabulate,
 )
-from socast.tools.report.terminal import print_report
 
 PAPER_CAPTION: Final = "The paper's figures are from other data (the rides of one company), for orientation only."
 """Sentence of captions of figures that also show the paper's figures."""

@@ -9,7 +9,7 @@ from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.records import EliminationStep, RecipeEvaluation
 from socast.core.formatting import format_minus
 from socast.core.stats.multiple_testing import SIGNIFICANCE
-from socast.tools.report.evaluation.error_tables import get_difference, list_compared
+from socast.tools.report.evaluation.tables import get_difference, list_compared
 from socast.tools.report.figure_style import (
     DIVERGING,
     draw_curve,
@@ -131,11 +131,13 @@ def draw_difference_matrix(result: RecipeEvaluation, vehicle_model: str) -> go.F
         showscale=False,
         hovertemplate="%{y}<br>less %{x}: %{customdata:.1f} Wh<extra></extra>",
     )
-    made = make_figure([heat], 80 + 38 * len(names))
-    made.update_layout(margin={"t": 60, "b": 10})
-    made.update_xaxes(title_text="Model, numbered as on the left", type="category", side="top", showgrid=False)
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed", showgrid=False)
-    return made
+    return make_figure(
+        [heat],
+        80 + 38 * len(names),
+        x={"title_text": "Model, numbered as on the left", "type": "category", "side": "top", "showgrid": False},
+        y={"title_text": "Model", "type": "category", "autorange": "reversed", "showgrid": False},
+        margin={"t": 60, "b": 10},
+    )
 
 
 def _format_score(score: tuple[float, float | None] | None) -> str:

@@ -9,7 +9,7 @@ from socast.core.evaluate.literature import LITERATURE
 from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.fit.recipes import BASELINES, RECIPES
-from socast.tools.report.document import Section
+from socast.tools.report.document import Section, print_section
 from socast.tools.report.evaluation.page import tabulate_headline, tabulate_overview
 from socast.tools.report.evaluation.percentage_tables import (
     BASELINE_HEADS,
@@ -22,7 +22,6 @@ from socast.tools.report.evaluation.percentage_tables import (
     tabulate_percentages,
     tabulate_percentages_of,
 )
-from socast.tools.report.terminal import print_section
 from tests.support.evaluation_result import evaluation, hold
 
 
