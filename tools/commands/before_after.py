@@ -23,6 +23,7 @@ from socast.tools.terminal.output import (
     JsonFile,
     ModelName,
     check_outputs,
+    refuse,
     select_model_files,
     show_report,
     write_json,
@@ -117,10 +118,13 @@ def _read_campaign(
         return Campaign(
             cars or tuple(dict.fromkeys(span.vehicle_id for span in spans)), None, None, None, spans, what, sizes
         )
-    if not cars:
-        raise SettingsError("--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005")
-    if at is None and plan is None:
-        raise SettingsError("--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%")
+    refuse(
+        (not cars, "--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005"),
+        (
+            at is None and plan is None,
+            "--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%",
+        ),
+    )
     first, last = (
         None if each is None else _parse_date(name, each) for name, each in (("--at", at), ("--until", until))
     )

@@ -26,6 +26,7 @@ from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
     check_outputs,
+    refuse,
     select_model_files,
     show_report,
     write_json,
@@ -65,8 +66,7 @@ def compare_models(
     socast compare motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast compare tables --model fitted.json --json - | jq .models
     """
-    if ride is not None and against:
-        raise SettingsError("--ride shows one ride of the first rides; leave out --against")
+    refuse((ride is not None and against, "--ride shows one ride of the first rides; leave out --against"))
     source = place_source(source, place)
     other = dataclasses.replace(source, given=against or ())
     read = select_model_files(model)

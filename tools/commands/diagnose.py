@@ -38,6 +38,7 @@ from socast.tools.terminal.output import (
     check_outputs,
     make_console,
     print_plain,
+    refuse,
     select_model_files,
     show_report,
     write_file,
@@ -113,7 +114,14 @@ def diagnose_rides(
     socast diagnose motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast diagnose tables --model fitted.json --auto -o best.json
     """
-    _check_options(auto, out, groups or events, findings)
+    refuse(
+        (auto != (out is not None), "--auto writes the final model: give --auto and -o M2 together, or neither"),
+        (
+            auto and (groups or events),
+            "--groups and --events have no effect with --auto, which adds effects of all cars",
+        ),
+        (auto and findings, "--findings has no effect with --auto, which adds what it finds: give one of the two"),
+    )
     first_day = _parse_date(since) if since else None
     source.check()
     loaded = models.load(model)
@@ -244,16 +252,6 @@ def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding
     merged = merge_findings(earlier, list_findings(result, use), use)
     write_findings(file, merged)
     return merged
-
-
-def _check_options(auto: bool, out: Path | None, groups: Path | None, findings: Path | None) -> None:
-    """Refuse options that contradict each other."""
-    if auto != (out is not None):
-        raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
-    if auto and groups:
-        raise SettingsError("--groups and --events have no effect with --auto, which adds effects of all cars")
-    if auto and findings:
-        raise SettingsError("--findings has no effect with --auto, which adds what it finds: give one of the two")
 
 
 def _parse_date(text: str) -> date:

@@ -16,7 +16,7 @@ from socast.core import effects
 from socast.core.columns import SIGNALS
 from socast.core.effects.declaration import Effect, Parameter
 from socast.core.effects.source_file import render_source
-from socast.core.errors import EffectError, SettingsError
+from socast.core.errors import EffectError
 from socast.core.formatting import everyday
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -24,6 +24,8 @@ from socast.tools.terminal.output import (
     check_outputs,
     make_console,
     print_plain,
+    refuse,
+    refuse_existing,
     write_file,
     write_json,
 )
@@ -118,10 +120,8 @@ def new_file(
     socast effects new my_effects.py
     socast effects new my_effects.py --from cold_rolling
     """
-    if file.suffix != ".py":
-        raise SettingsError(f"{file}: effects are written in Python: name a file that ends in .py")
-    if file.exists():
-        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    refuse((file.suffix != ".py", f"{file}: effects are written in Python: name a file that ends in .py"))
+    refuse_existing(file)
     name = "my_effect" if origin is None else f"my_{effects.get(origin).base}"
     content = blank(name) if origin is None else from_effect(effects.get(origin), name)
     check_outputs((), file)

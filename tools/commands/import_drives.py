@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import typer
@@ -30,7 +30,15 @@ from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import KINDS, list_tables
 from socast.tools.importers.table.time_source import TimeSource
 from socast.tools.importers.table.weather_file import read_weather_file
-from socast.tools.terminal.output import HtmlFile, VehicleFiles, check_outputs, make_console, print_plain, write_file
+from socast.tools.terminal.output import (
+    HtmlFile,
+    VehicleFiles,
+    check_outputs,
+    make_console,
+    print_plain,
+    refuse,
+    write_file,
+)
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0
@@ -146,21 +154,24 @@ def import_drives(
         for option, (value, remedy) in changed.items():
             if value:
                 raise SettingsError(f"{option} applies to public data sets only; {remedy}")
-        options = TableImport(
-            map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
+        import_tables(
+            data_set, paths, map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
         )
-        import_tables(data_set, paths, options)
         return
     chosen = get_data_set(data_set)
-    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset, sequence, weather)):
-        raise SettingsError(
-            "--map, --guess, --preset, --html, --sequence, --weather and --vehicle-model apply to csv and parquet "
-            f"only; leave them out for {data_set}"
-        )
-    if out is None:
-        raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")
+    of_tables, vehicles = (map_file, html_file, vehicle_model, preset, sequence, weather), tuple(vehicle or ())
+    refuse(
+        (
+            guess or any(option is not None for option in of_tables),
+            (
+                "--map, --guess, --preset, --html, --sequence, --weather and --vehicle-model apply to csv and parquet "
+                f"only; leave them out for {data_set}"
+            ),
+        ),
+        (out is None, "--out is missing; name the recording to write, such as drives.mcap"),
+    )
+    assert out is not None  # checked above
     check_recording(out)
-    vehicles = tuple(vehicle or ())
     if vehicles and data_set != "ved":
         raise SettingsError(f"--vehicle is {vehicles[0]}, but {data_set} holds one car; leave --vehicle out")
     reading = ReadOptions(_find_zone(time_zone or chosen.time_zone), vehicles)
@@ -283,71 +294,81 @@ TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
 
 
-class TableImport(NamedTuple):
-    """Hold the options of an import of tables.
-
-    Parameters
-    ----------
-    map_file, out, html_file : Path, optional
-        The map, the recording (None only guesses) and a page with a picture of what agrees.
-    preset : str, optional
-        Name of the export that the tables are.
-    vehicle_model : str, optional
-        Vehicle model of cars for which the map names none.
-    period : float, optional
-        Time between two samples; None is that of the map. [s]
-    skip_bad : bool
-        Whether to skip and count files that cannot be read.
-    sequence : float, optional
-        Time between files that follow each other at invented dates. [h]
-    weather : Path, optional
-        File of weather stations.
-    """
-
-    map_file: Path | None
-    out: Path | None
-    html_file: Path | None
-    guess: bool
-    preset: str | None
-    vehicle_model: str | None
-    period: float | None
-    skip_bad: bool = False
-    sequence: float | None = None
-    weather: Path | None = None
-
-
-def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
+def import_tables(
+    kind: str,
+    paths: list[Path],
+    map_file: Path | None,
+    out: Path | None,
+    html_file: Path | None,
+    guess: bool,
+    preset_name: str | None,
+    vehicle_model: str | None,
+    period: float | None,
+    skip_bad: bool,
+    sequence: float | None,
+    weather_file: Path | None,
+) -> None:
     """Guess a map of tables, or convert tables with a map, or both."""
-    map_file, out = options.map_file, options.out
-    preset = None if options.preset is None else get_preset(options.preset)
-    guesses = options.guess or preset is not None
-    _check_options(kind, options, guesses)
-    files = list_tables(paths, kind)
-    console = make_console()
-    content = _guess(kind, files, options, preset, console) if guesses else None
+    preset = None if preset_name is None else get_preset(preset_name)
+    guesses = guess or preset is not None
+    refuse(
+        (
+            map_file is None and not (guesses and out),
+            f"--map is missing; name a map, or write a first one: socast import {kind} ... --guess --map MAP.toml",
+        ),
+        (
+            out is None and not guesses,
+            "--out is missing; name the recording to write, or use --guess to write a map only",
+        ),
+        (
+            out is None and weather_file,
+            "--weather is given without --out; its observations enter a recording, so name one too",
+        ),
+        (
+            out is None and html_file,
+            "--html is given without --out; the page shows an import, so name a recording too",
+        ),
+    )
+    if out is not None:
+        check_recording(out)
+    files, console, content = list_tables(paths, kind), make_console(), b""
+    if guesses:
+        skipped = SkippedFiles(skip_bad)
+        content = _guess(kind, files, map_file, vehicle_model, preset, skipped, console, tells_rest=out is None)
     if out is None:
         return
-    beside = [each for each in (map_file, options.weather) if each is not None]
-    check_outputs([*files, *beside], out, options.html_file)
-    weather = read_weather_file(options.weather) if options.weather else None
-    columns = read_map(map_file) if map_file else parse_map(content or b"", Path(f"the map of {files[0]}"))
+    beside = [each for each in (map_file, weather_file) if each is not None]
+    check_outputs([*files, *beside], out, html_file)
+    weather = read_weather_file(weather_file) if weather_file else None
+    columns = read_map(map_file) if map_file else parse_map(content, Path(f"the map of {files[0]}"))
     if columns.vehicle.model is None:
-        columns = columns._replace(vehicle=columns.vehicle._replace(model=options.vehicle_model))
-    if options.period is not None:
+        columns = columns._replace(vehicle=columns.vehicle._replace(model=vehicle_model))
+    if period is not None:
         holds = columns.sampling.holds if columns.sampling else find_holds()
-        columns = columns._replace(sampling=Sampling(options.period, holds))
-    if options.sequence is not None:
-        columns = columns._replace(time=place_in_sequence(columns.time, options.sequence))
-    skipped = SkippedFiles(options.skip_bad)
+        columns = columns._replace(sampling=Sampling(period, holds))
+    if sequence is not None:
+        columns = columns._replace(time=place_in_sequence(columns.time, sequence))
+    settings = {
+        "kind": kind,
+        "map": map_file and map_file.name,
+        "preset": preset_name,
+        "vehicle_model": vehicle_model,
+        "period": period,
+        "sequence": sequence,
+        "weather": weather_file and weather_file.name,
+        "dates": None if sequence is None else INVENTED,
+    }
+    chosen = {name: str(value) for name, value in settings.items() if value is not None}
+    skipped = SkippedFiles(skip_bad)
     tables = open_tables(files, kind, columns, skipped)
-    summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped, weather)
+    summary = convert_tables(tables, columns, out, chosen, skipped, weather)
     print_summary(summary, console)
-    if options.html_file is not None:
+    if html_file is not None:
         from socast.tools.report.imported import build_report  # noqa: PLC0415 - figures take seconds to import
         from socast.tools.report.page import write_report  # noqa: PLC0415 - ditto
 
-        write_report(build_report(summary), options.html_file)
-        print_plain(console, f"report in {options.html_file}")
+        write_report(build_report(summary), html_file)
+        print_plain(console, f"report in {html_file}")
 
 
 def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
@@ -373,54 +394,32 @@ def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
     return time._replace(gap_s=3600.0 * hours, origin=max(time.origin, INVENTED_ORIGIN))
 
 
-def _check_options(kind: str, options: TableImport, guesses: bool) -> None:
-    """Refuse options that do not fit each other."""
-    if options.map_file is None and not (guesses and options.out):
-        raise SettingsError(
-            f"--map is missing; name a map, or write a first one: socast import {kind} ... --guess --map MAP.toml"
-        )
-    if options.out is None and not guesses:
-        raise SettingsError("--out is missing; name the recording to write, or use --guess to write a map only")
-    if options.out is not None:
-        check_recording(options.out)
-    if options.weather is not None and options.out is None:
-        raise SettingsError("--weather is given without --out; its observations enter a recording, so name one too")
-    if options.html_file is not None and options.out is None:
-        raise SettingsError("--html is given without --out; the page shows an import, so name a recording too")
-
-
-def _list_settings(kind: str, options: TableImport) -> dict[str, str]:
-    """Return the settings of the import for the metadata of the recording."""
-    chosen = {
-        "map": options.map_file and options.map_file.name,
-        "preset": options.preset,
-        "vehicle_model": options.vehicle_model,
-        "period": options.period,
-        "sequence": options.sequence,
-        "weather": options.weather and options.weather.name,
-        "dates": None if options.sequence is None else INVENTED,
-    }
-    return {"kind": kind} | {name: str(value) for name, value in chosen.items() if value is not None}
-
-
-def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | None, console: Console) -> bytes:
-    """Return a first map, written where a file is named, and show what was decided."""
-    map_file = options.map_file
+def _guess(
+    kind: str,
+    files: list[Path],
+    map_file: Path | None,
+    vehicle_model: str | None,
+    preset: Preset | None,
+    skipped: SkippedFiles,
+    console: Console,
+    *,
+    tells_rest: bool,
+) -> bytes:
+    """Return a first map, written where a file is named, and show what was decided, and the rest if no import does."""
     if map_file is not None and map_file.exists():
         raise SettingsError(
             f"{map_file} is there already and would be overwritten; name another file, or leave --guess and --preset "
             "out to import with it"
         )
     check_outputs(files, map_file)
-    skipped = SkippedFiles(options.skip_bad)
     tables = open_readable(files, kind, FileFormat(), skipped)
-    guessed = guess_map(tables, preset, skipped)._replace(vehicle_model=options.vehicle_model)
+    guessed = guess_map(tables, preset, skipped)._replace(vehicle_model=vehicle_model)
     content = write_map_text(guessed, tables[0]).encode()
     if line := describe_preset(guessed):
         print_plain(console, line)
     console.print(make_guess_table(guessed))
     lines = [describe_unread(guessed), *guessed.time.doubts]
-    if options.out is None:  # an import says the rest itself
+    if tells_rest:
         lines += [*skipped.list_lines(len(files)), *describe_missing([each.field for each in guessed.fields])]
     print_plain(console, *filter(None, lines), style="yellow")
     if map_file is None:

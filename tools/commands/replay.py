@@ -43,7 +43,15 @@ from socast.tools.terminal.forecast_options import (
 )
 from socast.tools.terminal.live_table import add_predictions, make_ride_records, show_rides
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_records, show_models
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, print_plain, write_json
+from socast.tools.terminal.output import (
+    JsonFile,
+    check_outputs,
+    make_console,
+    parse_speed,
+    print_plain,
+    refuse,
+    write_json,
+)
 from socast.tools.terminal.recordings import (
     Recordings,
     open_recordings,
@@ -153,15 +161,20 @@ def replay(
         options.elevation,
     )
     publishes = bool(connect or config)
-    if publishes and (any(local) or options.settings != Settings()):
-        raise SettingsError(
-            f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
-            "--out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and settings of cleaning"
-        )
-    if foxglove and out is None:
-        raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
-    if expect is None and (update or tolerance):
-        raise SettingsError("--update and --tolerance belong to --expect: give --expect F.mcap too")
+    refuse(
+        (
+            publishes and (any(local) or options.settings != Settings()),
+            (
+                f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
+                "--out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and settings of cleaning"
+            ),
+        ),
+        (foxglove and out is None, "--foxglove adds to what --out records: give --out F.mcap too"),
+        (
+            expect is None and (update or tolerance),
+            "--update and --tolerance belong to --expect: give --expect F.mcap too",
+        ),
+    )
     expectation = _Expectation.prepare(expect, tolerance or (), update=update) if expect else None
     layout = out.with_suffix(".layout.json") if out and foxglove else None
     zone = find_zone(time_zone, make_console(json_file))

@@ -13,7 +13,7 @@ from socast.tools.security.access import CONSUMER, GATEWAY
 from socast.tools.security.certificates import Issued, now_utc
 from socast.tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
 from socast.tools.security.zenoh_settings import PORT
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, refuse, write_json
 from socast.tools.terminal.rich_table import Column, make_table
 
 DAYS = 365.0
@@ -100,10 +100,8 @@ def add_cars(
     """
     cars = read_cars(car, car_file)
     gateways = gateway or []
-    if not cars and not gateways:
-        raise SettingsError(
-            "no car is given; name one with --car ID, a file of names with --cars FILE, or a gateway with --gateway ID"
-        )
+    words = "no car is given; name one with --car ID, a file of names with --cars FILE, or a gateway with --gateway ID"
+    refuse((not cars and not gateways, words))
     made = SecureFolder(folder, authority_key)
     made.add(cars, gateways)
     _advise(made, "added", [*cars, *(GATEWAY + each for each in gateways)])
@@ -154,8 +152,8 @@ def renew_certificates(
     socast secure renew fleet-keys
     socast secure renew fleet-keys taxi-002 --revoke
     """
-    if revoke and not names:
-        raise SettingsError("--revoke needs the names whose keys were stolen: socast secure renew DIR NAME... --revoke")
+    words = "--revoke needs the names whose keys were stolen: socast secure renew DIR NAME... --revoke"
+    refuse((revoke and not names, words))
     made = SecureFolder(folder, authority_key)
     renewed = made.renew(names or [], revoke=revoke)
     if renewed:

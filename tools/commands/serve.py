@@ -17,6 +17,7 @@ from socast.stream.zenoh_session import LOOPBACK, Connection
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import advise_fit, load_models
+from socast.tools.terminal.output import refuse
 from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource
 from socast.tools.terminal.time_zone import parse_zone
@@ -113,8 +114,8 @@ def serve(
             f"socast serve needs the package {error.name}; install it with: pip install 'socast[workbench]'"
         ) from error
     log_lines(level=logging.WARNING)
-    if (connect or config or shard_by != "name") and not live:
-        raise SettingsError("--connect, --config and --shard-by belong to --live: add it, or leave them out")
+    of_live = connect or config or shard_by != "name"
+    refuse((of_live and not live, "--connect, --config and --shard-by belong to --live: add it, or leave them out"))
     router = ", ".join(connect or [LOOPBACK]) if live else None
     source = RideSource(
         tuple(given or ()), options.settings, options.elevation, options.effect_files, options.vehicle_files

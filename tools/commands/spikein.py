@@ -22,6 +22,7 @@ from socast.tools.terminal.output import (
     check_outputs,
     make_console,
     print_plain,
+    refuse,
     show_report,
     write_json,
 )
@@ -81,10 +82,14 @@ def spikein(
     socast spikein drives.mcap --effect standby --size 3% --vehicles car-1 --since 2023-05-05 -o spiked.mcap
     socast spikein drives.mcap --score --effect headwind,standby,cabin_heating --size 2%,4% --html score.html
     """
-    if score == (out is not None):
-        raise SettingsError("a recording is written with -o F.mcap, and none with --score: give one of the two")
-    if not score and effect is None:
-        raise SettingsError(f"--effect is missing; choose from {', '.join(sorted(EFFECTS))}")
+    refuse(
+        (
+            score == (out is not None),
+            "a recording is written with -o F.mcap, and none with --score: give one of the two",
+        ),
+        (not score and effect is None, f"--effect is missing; choose from {', '.join(sorted(EFFECTS))}"),
+        (not score and html_file is not None, "--html shows a score: give --score, or leave it out"),
+    )
     begin = parse_start(since).timestamp() if since else None
     cars = _split(vehicles or "")
     if score:
@@ -94,8 +99,6 @@ def spikein(
         return
     assert out is not None  # checked above
     assert effect is not None  # checked above
-    if html_file is not None:
-        raise SettingsError("--html shows a score: give --score, or leave it out")
     sources = open_recordings(recordings)
     truth_file = out.with_name(f"{out.name}.truth.json")
     check_outputs(recordings, out, truth_file, json_file)

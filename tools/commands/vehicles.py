@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
 from socast.core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
 from socast.core.wire.messages import IDENTITY
@@ -17,6 +16,8 @@ from socast.tools.terminal.output import (
     check_outputs,
     make_console,
     print_plain,
+    refuse,
+    refuse_existing,
     write_file,
     write_json,
 )
@@ -65,11 +66,10 @@ def new_file(
     --------
     socast vehicles new my-van.toml --mass-kg 2100 --capacity-kwh 75 --drag-area-m2 1.1
     """
-    if file.exists():
-        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    refuse_existing(file)
     name = key if key is not None else file.stem
-    if not IDENTITY.fullmatch(name) or "." in name:
-        raise SettingsError(f"--key is '{name}', must be up to 64 letters, digits, _ and -; name the car with --key")
+    is_wrong = not IDENTITY.fullmatch(name) or "." in name
+    refuse((is_wrong, f"--key is '{name}', must be up to 64 letters, digits, _ and -; name the car with --key"))
     text = make_data_sheet(name, mass_kg, capacity_kwh, drag_area_m2, rated_kwh_per_100km)
     vehicles = read_data_sheets(text, str(file))
     check_outputs((), file)

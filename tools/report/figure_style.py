@@ -157,6 +157,12 @@ def apply_layout(made: go.Figure, height: int) -> go.Figure:
     return made
 
 
+def find_limit(values: Sequence[float], ends: Sequence[float], widest: float) -> float:
+    """Return the end of a common scale that shows each value, and the ends of intervals unless far beyond."""
+    most = max(map(abs, values), default=0.0) or 1.0
+    return 1.05 * max([most, *(end for end in ends if end <= widest * most)])
+
+
 def make_error_bars(
     up: Sequence[float | None] | None,
     down: Sequence[float | None] | None = None,
@@ -228,6 +234,12 @@ def draw_dots(
     symbol = f"{look.symbol}-open" if outline else look.symbol
     marker = {"symbol": symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}}
     return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=make_error_bars(ci95))
+
+
+def draw_equality(ends: Sequence[float]) -> go.Scatter:
+    """Return the line on which both coordinates are equal."""
+    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
+    return go.Scatter(name="equal", x=list(ends), y=list(ends), mode="lines", line=line, hoverinfo="skip")
 
 
 def add_reference_line(made: go.Figure, text: str, x: float) -> None:

@@ -44,6 +44,7 @@ from socast.tools.terminal.live_options import LimitLog, RecordingOptions
 from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_log_fields
 from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
+from socast.tools.terminal.output import refuse
 
 UNCOUNTED: Final = 2.0
 """Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""
@@ -225,10 +226,17 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
 def _make_connection(options: LiveOptions) -> Connection:
     """Return the connection; refuse --standby without a router of its own."""
     given = options.connection
-    if options.shard and options.shard.count > 1 and not (given.connect or given.config):
-        raise SettingsError("--shard needs a router that all consumers join: give --connect or --config")
-    if options.standby and not (given.connect or given.config):
-        raise SettingsError("--standby needs a router that outlives the consumers: give --connect or --config")
+    is_alone = not (given.connect or given.config)
+    refuse(
+        (
+            is_alone and options.shard and options.shard.count > 1,
+            "--shard needs a router that all consumers join: give --connect or --config",
+        ),
+        (
+            is_alone and options.standby,
+            "--standby needs a router that outlives the consumers: give --connect or --config",
+        ),
+    )
     return replace(
         given,
         prefix=options.forecast.prefix,

@@ -151,6 +151,24 @@ def print_plain(console: Console, *lines: str, style: str = "", wraps: bool = Fa
         console.print(line, style=style, markup=False, highlight=False, soft_wrap=not (wraps and console.is_terminal))
 
 
+def refuse(*mistakes: tuple[object, str]) -> None:
+    """Raise `SettingsError` with the words of the first mistake that was made.
+
+    Parameters
+    ----------
+    *mistakes : tuple of (object, str)
+        Whether a mistake was made, and what it is with its remedy.
+    """
+    for is_made, words in mistakes:
+        if is_made:
+            raise SettingsError(words)
+
+
+def refuse_existing(file: Path) -> None:
+    """Refuse to overwrite a file."""
+    refuse((file.exists(), f"{file} is there already and would be overwritten; name another file"))
+
+
 def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:
     """Write a report as JSON: first its format, then its fields, with NaN and infinity as null.
 

@@ -308,12 +308,15 @@ def _draw_cars(result: Diagnosis) -> list[Illustration]:
     names = [f"{car.car}{' (named)' if car.car in named else ''}" for car, *_ in rows]
     spans = [(PERCENT * low, PERCENT * high) for *_, (low, high) in rows]
     points = draw_interval_rows("car", get_style(2), names, [PERCENT * share for _, share, _ in rows], spans)
-    made = make_figure([points], 110 + SMALL_ROW * len(rows))
+    made = make_figure(
+        [points],
+        110 + SMALL_ROW * len(rows),
+        x={"title_text": "Energy beyond that of the siblings [% of the energy of the car]"},
+        y={"title_text": "Car", "type": "category", "autorange": "reversed"},
+    )
     spread = PERCENT * sum(car.share_spread or 0.0 for car, *_ in rows) / len(rows)
     made.add_vrect(x0=-spread, x1=spread, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
     add_reference_line(made, "", 0.0)
-    made.update_xaxes(title_text="Energy beyond that of the siblings [% of the energy of the car]")
-    made.update_yaxes(title_text="Car", type="category", autorange="reversed")
     caption = (
         "Points: what each car uses more than the others of its model under the same conditions; lines: 95 % "
         "intervals. Shaded: one standard deviation between cars. A car may be named for what it uses in some "
@@ -353,11 +356,14 @@ def _draw_change(place: int, one: CarDeviation, since: str) -> Illustration:
         mode="lines",
         line={"color": line.colour, "dash": line.dash, "width": 2, "shape": shape},
     )
-    made = make_figure([*ends, points, change], 340)
+    made = make_figure(
+        [*ends, points, change],
+        340,
+        x={"title_text": "Date [UTC]"},
+        y={"title_text": "Energy beyond the model [% of the energy]", "zeroline": True},
+    )
     begin, finish = one.since_ci90 or (since, since)
     made.add_vrect(x0=begin, x1=finish, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
-    made.update_xaxes(title_text="Date [UTC]")
-    made.update_yaxes(title_text="Energy beyond the model [% of the energy]", zeroline=True)
     caption = (
         f"{describe_deviation(one)[0]}. Points: each shift by itself, with its standard error, for the most probable "
         "cause. Line: the change with its 95 % interval. Shaded dates: the 90 % range of its begin."

@@ -26,6 +26,7 @@ from socast.tools.report.figure_style import (
     apply_layout,
     draw_interval_rows,
     escape_label,
+    find_limit,
     get_style,
     make_error_bars,
     make_figure,
@@ -326,7 +327,12 @@ def draw_coefficient_rows(
     ends = [interval or (value, value) for value, (_, _, interval) in zip(values, rows, strict=True)]
     unit = format_unit(coefficient.unit) or "1"
     points = draw_interval_rows("coefficient", get_style(6), [name for name, *_ in rows], values, ends)
-    made = make_figure([points], 100 + 30 * len(rows))
+    made = make_figure(
+        [points],
+        100 + 30 * len(rows),
+        y={"title_text": axis, "type": "category", "autorange": "reversed"},
+        showlegend=False,
+    )
     low, high = coefficient.low, coefficient.high
     if low is not None and high is not None:
         made.add_vrect(x0=low, x1=high, fillcolor=SHADE, line_width=0, layer="below")
@@ -339,8 +345,6 @@ def draw_coefficient_rows(
         title_text=escape_label(f"{title[:1].upper()}{title[1:]} [{unit}]"),
         range=[min(across) - room, max(across) + room],
     )
-    made.update_yaxes(title_text=axis, type="category", autorange="reversed")
-    made.update_layout(showlegend=False)
     return made
 
 
@@ -348,7 +352,9 @@ def draw_profiles(result: Diagnosis) -> list[Illustration]:
     """Draw the mean residual along each feature and by each category, in bins that have an interval."""
     known = [_keep_known_bins(part) for part in result.profiles]
     parts = [part for part in known if len(part.x) > 1]
-    limit = _find_limit(parts)
+    means = [mean for part in parts for mean in (*part.before_w, *part.after_w)]
+    halves = [(mean, half) for part in parts for mean, half in zip(part.after_w, part.ci95_w, strict=True)]
+    limit = find_limit(means, [abs(mean) + half for mean, half in halves if half is not None], WIDEST)
     return [_draw_profile(part, limit, several=bool(result.missing or result.deviations)) for part in parts]
 
 
@@ -357,19 +363,6 @@ def _keep_known_bins(part: ResidualProfile) -> ResidualProfile:
     kept = [i for i, half in enumerate(part.ci95_w) if half is not None]
     columns = ("x", "before_w", "after_w", "ci95_w", "windows", "days")
     return replace(part, **{name: [getattr(part, name)[i] for i in kept] for name in columns})
-
-
-def _find_limit(parts: Sequence[ResidualProfile]) -> float:
-    """Return the end of the common scale, which shows every mean, and most intervals whole. [W]"""
-    means = [abs(value) for part in parts for value in (*part.before_w, *part.after_w)]
-    most = max(means, default=1.0) or 1.0
-    ends = [
-        abs(mean) + half
-        for part in parts
-        for mean, half in zip(part.after_w, part.ci95_w, strict=True)
-        if half is not None
-    ]
-    return 1.05 * float(max([most, *(end for end in ends if end <= WIDEST * most)]))
 
 
 def _draw_profile(part: ResidualProfile, limit: float, *, several: bool) -> Illustration:

@@ -193,11 +193,14 @@ def draw_buffers(result: RecipeEvaluation) -> go.Figure:
         )
         for i, share in enumerate(shares)
     ]
-    made = make_figure(traces, 90 + 44 * len(names))
+    made = make_figure(
+        traces,
+        90 + 44 * len(names),
+        x={"title_text": "Buffer [kWh]", "rangemode": "tozero"},
+        y={"title_text": "Model", "type": "category", "autorange": "reversed"},
+    )
     published_kwh = published.get_statement("buffer").value
     add_reference_line(made, f"{published_kwh:g} kWh: the paper's company (other data)", published_kwh)
-    made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
@@ -247,10 +250,11 @@ def draw_coverage(result: RecipeEvaluation) -> go.Figure:
         shares = [_times(value, 100.0) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
-    made = make_figure(traces, 400, scattermode="group", scattergap=0.5)
+    made = make_figure(
+        traces, 400, scattermode="group", scattergap=0.5, x={"title_text": "Rides of", "type": "category"}
+    )
     for share in (NOMINAL, LEAST_COVERAGE):
         made.add_hline(y=100.0 * share, line=REFERENCE_LINE)
-    made.update_xaxes(title_text="Rides of", type="category")
     least = min((y for trace in traces for y in trace.y if y is not None), default=100.0)
     made.update_yaxes(title_text="Inside their 90 % interval [%]", range=[min(80.0, least - 2.0), 101.0])
     return made

@@ -232,11 +232,14 @@ def draw_new_vehicle(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
     if any(theirs):
         values = [None if f is None else f.value for f in theirs]
         traces.append(draw_dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
-    made = make_figure(traces, 90 + 32 * len(errors))
+    made = make_figure(
+        traces,
+        90 + 32 * len(errors),
+        x={"title_text": "Mean absolute error [kWh]", "rangemode": "tozero"},
+        y={"title_text": "Model", "type": "category", "autorange": "reversed"},
+    )
     if FITTED in errors:
         add_reference_line(made, "fitted physical", errors[FITTED])
-    made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
@@ -253,7 +256,9 @@ def draw_few_shot(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
         name, spreads = format_recipe_label(result, recipe), [point.ci95 for point in points.values()]
         trace = draw_curve(name, get_recipe_style(result, recipe), x, y, spreads)
         traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
-    made = make_figure(traces, 360, showlegend=True)
+    made = make_figure(
+        traces, 360, showlegend=True, y={"title_text": "Mean absolute error [kWh]", "rangemode": "tozero"}
+    )
     ticks = sorted(numbers)
     made.update_xaxes(
         title_text="Rides of the new vehicle model seen [number]",
@@ -261,5 +266,4 @@ def draw_few_shot(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
         tickvals=[n or NO_RIDES for n in ticks],
         ticktext=[str(n) for n in ticks],
     )
-    made.update_yaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
     return made

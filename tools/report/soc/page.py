@@ -14,7 +14,15 @@ from socast.core.formatting import format_count, format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.tools.report.document import Illustration, Report, Section, print_report
 from socast.tools.report.evaluation.result import get_vehicle_name
-from socast.tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
+from socast.tools.report.figure_style import (
+    REFERENCE_LINE,
+    Style,
+    draw_curve,
+    draw_equality,
+    escape_label,
+    get_style,
+    make_figure,
+)
 from socast.tools.report.soc import tables
 from socast.tools.report.soc.tables import SHOWN_AT, format_bin
 from socast.tools.report.table import keep_filled
@@ -151,13 +159,16 @@ def draw_errors(result: SocEvaluation) -> go.Figure:
 def draw_coverage(shares: Mapping[str, ClusteredShare], axis: str) -> go.Figure:
     """Return a figure of the coverage of groups, with its interval, and of the target coverage."""
     x = [escape_label(name) for name in shares]
-    made = make_figure(_points("coverage", FORECAST, x, list(shares.values())), 380)
+    made = make_figure(
+        _points("coverage", FORECAST, x, list(shares.values())),
+        380,
+        x={"title_text": axis, "type": "category", "categoryorder": "array", "categoryarray": x},
+        y={"title_text": "Outcomes inside the 90 % interval [%]"},
+        showlegend=False,
+    )
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
     made.add_hline(y=100.0 * NOMINAL, line={**REFERENCE_LINE, "dash": "solid", "width": 1})
-    made.update_layout(showlegend=False)
-    made.update_xaxes(title_text=axis, type="category", categoryorder="array", categoryarray=x)
-    made.update_yaxes(title_text="Outcomes inside the 90 % interval [%]")
     return made
 
 
@@ -242,9 +253,7 @@ def draw_scatter(result: SocEvaluation) -> go.Figure:
         )
     ]
     both = shown[["soc_mean", "soc_end"]].to_numpy()
-    ends = [float(both.min()), float(both.max())]
-    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
-    traces.append(go.Scatter(name="equal", x=ends, y=ends, mode="lines", line=line, hoverinfo="skip"))
+    traces.append(draw_equality([float(both.min()), float(both.max())]))
     return make_figure(
         traces,
         400,
@@ -286,10 +295,8 @@ def draw_risk(result: SocEvaluation) -> go.Figure:
         points.update(text=[f"{each.n:,} cases" for each in classes])
         points.update(hovertemplate="%{text}: forecast %{x:.1f}, fell %{y:.1f} %<extra></extra>")
         traces += [points, *alone]
-    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
-    equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
     made = make_figure(
-        [*traces, equal],
+        [*traces, draw_equality([0, 100])],
         400,
         x={"title_text": "Forecast risk of falling below [%]"},
         y={"title_text": "Share that fell below [%]"},
@@ -329,11 +336,14 @@ def draw_example(shift: ExampleShift) -> go.Figure:
     became = go.Scatter(
         name="the end", x=[0.0], y=[shift.soc_end_pct], mode="markers", marker={"symbol": "star", "size": 13}
     )
-    made = make_figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
+    made = make_figure(
+        [upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)],
+        360,
+        x={"title_text": BEFORE, "autorange": "reversed"},
+        y={"title_text": CHARGE, "rangemode": "tozero"},
+    )
     if shift.reserve_soc_pct is not None:
         made.add_hline(y=shift.reserve_soc_pct, line=REFERENCE_LINE)
-    made.update_xaxes(title_text=BEFORE, autorange="reversed")
-    made.update_yaxes(title_text=CHARGE, rangemode="tozero")
     return made
 
 
