@@ -23,11 +23,13 @@ from socast.tools.terminal.output import (
     JsonFile,
     ModelName,
     check_outputs,
+    parse_date,
     refuse,
     select_model_files,
-    show_report,
+    split_names,
     write_json,
 )
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import Rides, RideSource
 
 VEHICLE = "vehicle_id"
@@ -107,7 +109,7 @@ def _read_campaign(
     plan: str | None,
 ) -> Campaign:
     """Return the campaign that the options describe."""
-    cars = tuple(filter(None, (part.strip() for part in (vehicles or "").split(","))))
+    cars = split_names(vehicles)
     sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
     if toggle is not None:
         if beside := [f"--{name}" for name, value in {"at": at, "until": until, "days": days}.items() if value]:
@@ -126,19 +128,12 @@ def _read_campaign(
         ),
     )
     first, last = (
-        None if each is None else _parse_date(name, each) for name, each in (("--at", at), ("--until", until))
+        None if each is None else parse_date(name, each).toordinal()
+        for name, each in (("--at", at), ("--until", until))
     )
     if last is not None and (first is None or last <= first):
         raise SettingsError(f"--until is {until}, and must be after --at{f', {at}' if at else ''}: give a later date")
     return Campaign(cars, first, last, days, (), what, sizes)
-
-
-def _parse_date(place: str, text: str) -> int:
-    """Return the ordinal of a date."""
-    try:
-        return date.fromisoformat(text.strip()).toordinal()
-    except ValueError:
-        raise SettingsError(f"{place} is '{text}'; give a date such as 2018-11-20") from None
 
 
 def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
@@ -154,9 +149,9 @@ def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ..
         )
     spans = []
     for line, row in enumerate(table.to_dict("records"), start=2):
-        begin = _parse_date(f"{path}, line {line}: {columns[0]}", row[columns[0]])
+        begin = parse_date(f"{path}, line {line}: {columns[0]}", row[columns[0]]).toordinal()
         end = row[columns[1]].strip()
-        last = _parse_date(f"{path}, line {line}: {columns[1]}", end) if end else date.max.toordinal()
+        last = parse_date(f"{path}, line {line}: {columns[1]}", end).toordinal() if end else date.max.toordinal()
         if last < begin:
             raise SettingsError(f"{path}, line {line}: the end {end} is before the begin {row[columns[0]]}; swap them")
         named = [row[VEHICLE].strip()] if VEHICLE in table else cars

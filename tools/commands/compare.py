@@ -22,15 +22,8 @@ from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.models import BUILT_IN_MODELS, LinearModel
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    check_outputs,
-    refuse,
-    select_model_files,
-    show_report,
-    write_json,
-)
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, refuse, select_model_files, write_json
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY
 

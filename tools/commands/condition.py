@@ -6,14 +6,8 @@ import typer
 
 from socast.core import models
 from socast.core.condition.car_condition import assess_condition
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    check_outputs,
-    select_model_files,
-    show_report,
-    write_json,
-)
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, select_model_files, write_json
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 

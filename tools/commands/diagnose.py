@@ -37,14 +37,15 @@ from socast.tools.terminal.output import (
     JsonFile,
     check_outputs,
     make_console,
+    parse_date,
     print_plain,
     refuse,
     select_model_files,
-    show_report,
     write_file,
     write_json,
 )
 from socast.tools.terminal.progress import show_elapsed
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY
 
@@ -122,7 +123,7 @@ def diagnose_rides(
         ),
         (auto and findings, "--findings has no effect with --auto, which adds what it finds: give one of the two"),
     )
-    first_day = _parse_date(since) if since else None
+    first_day = parse_date("--since", since) if since else None
     source.check()
     loaded = models.load(model)
     read_from = [*source.list_read_files(), *select_model_files([model])]
@@ -252,14 +253,6 @@ def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding
     merged = merge_findings(earlier, list_findings(result, use), use)
     write_findings(file, merged)
     return merged
-
-
-def _parse_date(text: str) -> date:
-    """Return the date of --since, or raise `SettingsError`."""
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise SettingsError(f"--since is '{text}'; give a date such as 2018-11-01") from None
 
 
 def _diagnose(

@@ -24,8 +24,9 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, show_report, write_json
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, write_json
 from socast.tools.terminal.progress import show_bar
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY, is_table
 

@@ -31,10 +31,10 @@ from socast.tools.terminal.output import (
     VehicleFiles,
     check_outputs,
     select_model_files,
-    show_report,
     write_json,
 )
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.report_output import show_report
 
 
 class SocForecasts:

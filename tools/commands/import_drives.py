@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import typer
 from rich.console import Console
@@ -39,12 +38,17 @@ from socast.tools.terminal.output import (
     refuse,
     write_file,
 )
+from socast.tools.terminal.time_zone import parse_zone
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0
 """Default time between two samples. [s]"""
 BLOCK = 4096
 """Number of messages written at a time."""
+INVENTED_ORIGIN: Final = 1_577_836_800.0
+"""Time of the first file of a sequence without an origin of its own: 2020-01-01. [Unix s]"""
+TABLE_KINDS = tuple(KINDS)
+"""Kinds of tables that are read with a map."""
 
 
 def import_drives(
@@ -174,7 +178,7 @@ def import_drives(
     check_recording(out)
     if vehicles and data_set != "ved":
         raise SettingsError(f"--vehicle is {vehicles[0]}, but {data_set} holds one car; leave --vehicle out")
-    reading = ReadOptions(_find_zone(time_zone or chosen.time_zone), vehicles)
+    reading = ReadOptions(parse_zone(time_zone or chosen.time_zone), vehicles)
     drives = collect_drives(paths, chosen, reading, skip_bad)
     read = {drive.vehicle_id for drive in drives}
     absent = [number for number in vehicles if f"ved-{number}" not in read]
@@ -276,22 +280,6 @@ def _show_progress(steps: Sequence[Step], what: str) -> Iterable[Step]:
     """Show a progress bar on a terminal, nothing elsewhere."""
     console = Console(stderr=True)
     return track(steps, what, console=console, transient=True, disable=not console.is_terminal)
-
-
-def _find_zone(name: str) -> ZoneInfo:
-    """Return the time zone of a name."""
-    try:
-        return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError) as error:
-        raise SettingsError(
-            f"--time-zone is '{name}', which is no time zone; give one such as Europe/Berlin or UTC"
-        ) from error
-
-
-INVENTED_ORIGIN: Final = 1_577_836_800.0
-"""Time of the first file of a sequence without an origin of its own: 2020-01-01. [Unix s]"""
-TABLE_KINDS = tuple(KINDS)
-"""Kinds of tables that `socast import` reads with a map."""
 
 
 def import_tables(

@@ -165,8 +165,9 @@ def replay(
         (
             publishes and (any(local) or options.settings != Settings()),
             (
-                f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
-                "--out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and settings of cleaning"
+                f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out "
+                "--in-process, --out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and "
+                "settings of cleaning"
             ),
         ),
         (foxglove and out is None, "--foxglove adds to what --out records: give --out F.mcap too"),

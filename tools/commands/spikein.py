@@ -23,11 +23,12 @@ from socast.tools.terminal.output import (
     make_console,
     print_plain,
     refuse,
-    show_report,
+    split_names,
     write_json,
 )
 from socast.tools.terminal.progress import show_bar
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.report_output import show_report
 
 LARGEST: Final = 0.5
 """Largest size of an effect. [1]"""
@@ -91,10 +92,10 @@ def spikein(
         (not score and html_file is not None, "--html shows a score: give --score, or leave it out"),
     )
     begin = parse_start(since).timestamp() if since else None
-    cars = _split(vehicles or "")
+    cars = split_names(vehicles)
     if score:
-        chosen = _split(effect or ",".join(sorted(EFFECTS)))
-        choice = ScoreChoice(chosen, tuple(map(parse_size, _split(size))), cars, begin, (seed,))
+        chosen = split_names(effect or ",".join(sorted(EFFECTS)))
+        choice = ScoreChoice(chosen, tuple(map(parse_size, split_names(size))), cars, begin, (seed,))
         _score(recordings, choice, html_file, json_file)
         return
     assert out is not None  # checked above
@@ -107,11 +108,6 @@ def spikein(
     console = make_console(json_file)
     print_plain(console, *describe(truth, out, truth_file))
     warn_of_losses(sources)
-
-
-def _split(text: str) -> tuple[str, ...]:
-    """Return the parts of a list separated by commas."""
-    return tuple(filter(None, (part.strip() for part in text.split(","))))
 
 
 def _score(recordings: list[Path], choice: ScoreChoice, html_file: Path | None, json_file: Path | None) -> None:

@@ -6,15 +6,8 @@ import typer
 
 from socast.core import models
 from socast.core.condition.energy_split import split_energy
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    ModelName,
-    check_outputs,
-    select_model_files,
-    show_report,
-    write_json,
-)
+from socast.tools.terminal.output import HtmlFile, JsonFile, ModelName, check_outputs, select_model_files, write_json
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 

@@ -3,8 +3,8 @@
 import os
 import sys
 from collections.abc import Iterable, Mapping
+from datetime import date
 from errno import EACCES
-from importlib import import_module
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -203,23 +203,6 @@ def write_file(path: Path, content: bytes) -> None:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 
 
-def show_report(name: str, result: Any, html_file: Path | None, json_file: Path | None = None, **options: Any) -> None:
-    """Write the HTML page of a result if a file is named, then print its tables.
-
-    Parameters
-    ----------
-    name : str
-        Module of `socast.tools.report` that shows the result. It is imported here, because figures take seconds to
-        import.
-    """
-    shown, console = import_module(f"socast.tools.report.{name}"), make_console(json_file)
-    if html_file:
-        import_module("socast.tools.report.page").write_report(shown.build_report(result, **options), html_file)
-    shown.show(result, console, **options)
-    if html_file:
-        print_plain(console, f"report in {html_file}")
-
-
 def select_model_files(given: Iterable[str]) -> list[Path]:
     """Return the model files among the models that the command line names."""
     from socast.core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
@@ -261,6 +244,19 @@ def _try_to_write(path: Path) -> None:
         path.open("ab").close()
     elif not os.access(path, os.W_OK):
         raise PermissionError(EACCES, os.strerror(EACCES))
+
+
+def parse_date(place: str, text: str) -> date:
+    """Return the date of an option or of a field."""
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError:
+        raise SettingsError(f"{place} is '{text}'; give a date such as 2018-11-20") from None
+
+
+def split_names(text: str | None) -> tuple[str, ...]:
+    """Return the parts of a list separated by commas."""
+    return tuple(filter(None, (part.strip() for part in (text or "").split(","))))
 
 
 def parse_speed(text: str) -> float:

@@ -12,6 +12,7 @@ from socast.core.evaluate.compare.records import Comparison, Divergence, RideTra
 from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.ride_figures import (
     MEASURED,
+    SECONDS,
     accumulate_error,
     convert_to_power,
     draw_conditions,
@@ -49,8 +50,6 @@ MAP: Final = (
 )
 HERE: Final = "◄"
 """Mark of the windows where model and measurement diverge."""
-SECONDS: Final = 3600.0
-"""Seconds in an hour. [s]"""
 
 
 def show(trace: RideTrace, console: Console) -> None:
@@ -61,9 +60,10 @@ def show(trace: RideTrace, console: Console) -> None:
 
 def build_report(trace: RideTrace) -> Report:
     """Return the report of a ride."""
+    terms = [tabulate_terms(name, of_model) for name, of_model in trace.models.items()]
     sections = [
         Section("trace", "Prediction and measurement along the ride", describe_ride(trace), [tabulate_models(trace)]),
-        Section("terms", "Terms of the predictions", "", tabulate_terms(trace)),
+        Section("terms", "Terms of the predictions", "", terms),
         Section("windows", "Window by window", "", [tabulate_windows(trace)]),
     ]
     title, drawn = f"Ride {trace.ride.ride_key}", {"trace": illustrate_trace}
@@ -88,12 +88,7 @@ def tabulate_models(trace: RideTrace) -> ReportTable:
     return tabulate_records("Predictions of the ride", trace.models, TracedModel, corner="model", notes=notes)
 
 
-def tabulate_terms(trace: RideTrace) -> list[ReportTable]:
-    """Return the terms of each model: over the ride, and where it diverges from the measurement."""
-    return [_terms(name, of_model) for name, of_model in trace.models.items()]
-
-
-def _terms(model: str, of_model: TracedModel) -> ReportTable:
+def tabulate_terms(model: str, of_model: TracedModel) -> ReportTable:
     """Return the terms of a model, largest first."""
     place, start = of_model.place, of_model.start_terms
     at = slice(place.first, place.last + 1) if place else slice(0, 0)

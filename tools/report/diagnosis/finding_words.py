@@ -202,8 +202,10 @@ def describe_leading_episode(result: Diagnosis) -> list[str]:
         return []
     more = f" {len(found) - 1} further: see Episodes." if len(found) > 1 else ""
     share, when = format_percent(found[0].share, 0), _word_when(found[0], result)
-    what = f"{share} of the squared error is concentrated on {when}: {_word_power(found[0])}{_word_car(found[0])}"
-    return [f"{what}. Look at {_these(found[0], result)} before you add an effect.{more}"]
+    these = "these rides" if not result.data.dated else "this date" if len(found[0].dates) == 1 else "these dates"
+    alone = f", in {found[0].car} alone" if found[0].car else ""
+    what = f"{share} of the squared error is concentrated on {when}: {_word_power(found[0])}{alone}"
+    return [f"{what}. Look at {these} before you add an effect.{more}"]
 
 
 def describe_episodes(result: Diagnosis) -> list[str]:
@@ -288,22 +290,12 @@ def _word_hours(one: FoundEpisode) -> str:
     return "all hours" if one.whole_dates else f"{first} to {last} h UTC"
 
 
-def _word_car(one: FoundEpisode) -> str:
-    return f", in {one.car} alone" if one.car else ""
-
-
 def _word_chance(one: FoundEpisode) -> str:
     """Return the probability of so clear an episode by chance, or its bound."""
     chance = one.chance
     if chance is None:
         return UNKNOWN
     return f"less than {format_percent(LEAST_CHANCE)}" if chance < LEAST_CHANCE else f"{format_percent(chance)}"
-
-
-def _these(one: FoundEpisode, result: Diagnosis) -> str:
-    if not result.data.dated:
-        return "these rides"
-    return "this date" if len(one.dates) == 1 else "these dates"
 
 
 def _list_dates(one: FoundEpisode) -> str:

@@ -21,6 +21,7 @@ from socast.tools.report.figure_style import (
     draw_equality,
     escape_label,
     get_style,
+    make_error_bars,
     make_figure,
 )
 from socast.tools.report.soc import tables
@@ -176,7 +177,9 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Clustered
     """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
     enough = [share.clusters >= LEAST_CLUSTERS for share in shares]
     values = [_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
-    points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=_bars(shares))
+    low = [_reach(share.value, share.low) for share in shares]
+    high = [_reach(share.value, share.high) for share in shares]
+    points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=make_error_bars(high, low))
     alone = [(place, share) for place, share, known in zip(x, shares, enough, strict=True) if not known]
     lines = go.Scatter(
         name=f"{name}: interval of too few vehicle-days",
@@ -199,13 +202,6 @@ def _draw_estimates(
         reach = [None if up is None else min(up, y) for up, y in zip(trace.error_y.array, trace.y, strict=True)]
         trace.error_y.update(symmetric=False, arrayminus=reach)
     return trace
-
-
-def _bars(shares: Sequence[ClusteredShare]) -> dict[str, Any]:
-    """Return the error bars of shares."""
-    low = [_reach(share.value, share.low) for share in shares]
-    high = [_reach(share.value, share.high) for share in shares]
-    return {"symmetric": False, "arrayminus": low, "array": high, "thickness": 1, "width": 3}
 
 
 def _percent(share: float | None) -> float | None:
