@@ -22,10 +22,8 @@ from socast.tools.commands.diagnose import LeastGain, read_tables
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
-    check_outputs,
     make_console,
     print_plain,
-    select_model_files,
     write_json,
 )
 from socast.tools.terminal.progress import show_elapsed
@@ -64,10 +62,9 @@ def add_effect(
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
     from socast.tools.report import history, page  # noqa: PLC0415 - figures take seconds to import
 
-    source.check()
+    source.check(out, json_file, html_file, models=[model])
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
-    check_outputs([*source.list_read_files(), *select_model_files([model])], out, json_file, html_file)
     tables = read_tables(source, base)
     with show_elapsed("fitting with and without the effect"):
         added = try_effect(base, effect, scope or (), *tables, least=least_gain)

@@ -22,10 +22,8 @@ from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
     ModelName,
-    check_outputs,
     parse_date,
     refuse,
-    select_model_files,
     split_names,
     write_json,
 )
@@ -85,11 +83,9 @@ def compare(
     socast before-after tables --model fitted.json --vehicles taxi-005,taxi-007 --plan 3%
     socast before-after tables --model fitted.json --toggle eco-mode.csv --html eco-mode.html
     """
-    source.check()
+    source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
     campaign = _read_campaign(vehicles, at, until, days, toggle, what, plan)
     loaded = models.load(model)
-    given = [*source.list_read_files(), *select_model_files([model]), *([toggle] if toggle else [])]
-    check_outputs(given, json_file, html_file)
     rides = select_rides(source.read_rides(loaded.effects), {loaded.name: loaded})
     car_days = gather_car_days(rides, loaded.name, LEAST_CAMPAIGN_KWH)
     if toggle is None and campaign.at is None:

@@ -24,7 +24,7 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, refuse, select_model_files, write_json
 from socast.tools.terminal.report_output import show_report
-from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY
 
 
@@ -60,7 +60,6 @@ def compare_models(
     socast compare tables --model fitted.json --json - | jq .models
     """
     refuse((ride is not None and against, "--ride shows one ride of the first rides; leave out --against"))
-    source = place_source(source, place)
     other = dataclasses.replace(source, given=against or ())
     read = select_model_files(model)
     for each in (source, other) if against else (source,):
@@ -70,7 +69,7 @@ def compare_models(
     chosen = named(model)
     wanted = [name for each in chosen.values() for name in each.effects]
     with ExitStack() as folders:
-        first, second = (folders.enter_context(each.open_tables(wanted)) for each in (source, other))
+        first, second = (folders.enter_context(each.open_tables(wanted, place)) for each in (source, other))
         if ride is not None:
             trace = _trace(first, ride, chosen, wanted)
             write_json(json_file, "compare", {"trace": trace.to_json()})

@@ -35,18 +35,16 @@ from socast.tools.terminal.night_watch import read_findings, show_changes, write
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
-    check_outputs,
     make_console,
     parse_date,
     print_plain,
     refuse,
-    select_model_files,
     write_file,
     write_json,
 )
 from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.report_output import show_report
-from socast.tools.terminal.ride_source import RideSource, insert_ride_source, place_source
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY
 
 ENERGY_COLUMNS = (
@@ -124,13 +122,11 @@ def diagnose_rides(
         (auto and findings, "--findings has no effect with --auto, which adds what it finds: give one of the two"),
     )
     first_day = parse_date("--since", since) if since else None
-    source.check()
+    source.check(json_file, html_file, suggest, findings, out, models=[model])
     loaded = models.load(model)
-    read_from = [*source.list_read_files(), *select_model_files([model])]
-    check_outputs(read_from, json_file, html_file, suggest, findings, out)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
-    with place_source(source, place).open_tables(loaded.effects) as made:
+    with source.open_tables(loaded.effects, place) as made:
         table, windows = read_tables(made, loaded)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)

@@ -24,10 +24,10 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, write_json
+from socast.tools.terminal.output import HtmlFile, JsonFile, write_json
 from socast.tools.terminal.progress import show_bar
 from socast.tools.terminal.report_output import show_report
-from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY, is_table
 
 LEAST_REPEATS = 2
@@ -87,10 +87,9 @@ def evaluate_tables(
     for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
         if value is not None and value < least:
             raise SettingsError(f"{name} is {value}; give {least} or more")
-    source.check()
-    check_outputs(source.list_read_files(), json_file, html_file)
+    source.check(json_file, html_file)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
+    with source.open_tables((), place if source.is_recorded else None, always=True) as made:
         files = made.files
         beside = [file.with_name(WINDOWS) for file in files]
         job = EvaluationJob(

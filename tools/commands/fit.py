@@ -32,10 +32,10 @@ from socast.core.records import list_shown
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
+from socast.tools.terminal.output import JsonFile, make_console, print_plain, write_json
 from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.rich_table import Column, make_table
-from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import is_table, read
 
 BASE_RECIPE = "road_load"
@@ -90,10 +90,9 @@ def fit(
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
-    source.check()
-    check_outputs(source.list_read_files(), out, json_file)
+    source.check(out, json_file)
     _refuse_undivided(chosen, place, adapted=base is not None)
-    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
+    with source.open_tables((), place if source.is_recorded else None, always=True) as made:
         files = made.files
         determined: dict[str, list[Determination]] = {}
         if place and isinstance(chosen, LinearRecipe):
