@@ -102,6 +102,11 @@ def escape_label(text: str) -> str:
     return escape(text, quote=False)
 
 
+def to_percent(share: float | None) -> float | None:
+    """Return a share in percent, None where it is unknown."""
+    return None if share is None else 100.0 * share
+
+
 def format_recipe_label(result: RecipeEvaluation, recipe: str, width: int = 30) -> str:
     """Return the title of a model, in lines of about `width` characters."""
     lines = [""]

@@ -55,10 +55,12 @@ def draw_agreement(cars: Sequence[CarSums]) -> go.Figure:
     for key in sorted({car.model for car in known if car.model in load_catalogue()}, key=str):
         nominal = load_catalogue()[str(key)].nominal_capacity_kwh
         figure.add_hline(nominal, line=REFERENCE_LINE, annotation_text=escape_label(str(key)), row=1, col=2)
-    figure.update_xaxes(title_text="distance by speed, km", row=1, col=1)
-    figure.update_yaxes(title_text="distance, km", row=1, col=1)
-    figure.update_xaxes(title_text="energy per km, kWh", row=1, col=2)
-    figure.update_yaxes(title_text="energy per 100 %, kWh", row=1, col=2)
+    figure.update_layout(
+        xaxis_title_text="distance by speed, km",
+        yaxis_title_text="distance, km",
+        xaxis2_title_text="energy per km, kWh",
+        yaxis2_title_text="energy per 100 %, kWh",
+    )
     return apply_layout(figure, 420)
 
 

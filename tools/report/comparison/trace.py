@@ -198,9 +198,7 @@ def draw_cumulative(trace: RideTrace, axis: str) -> go.Figure:
         made.add_trace(_draw_steps(label, look, x, accumulate_error(trace, name), showlegend=False), row=2, col=1)
     _shade(made, trace, x)
     made.update_xaxes(title_text=AXES[axis])
-    made.update_yaxes(title_text="Energy so far [kWh]", row=1, col=1)
-    made.update_yaxes(title_text="Error so far [kWh]", row=2, col=1)
-    return made
+    return made.update_layout(yaxis_title_text="Energy so far [kWh]", yaxis2_title_text="Error so far [kWh]")
 
 
 def draw_powers(trace: RideTrace) -> go.Figure:

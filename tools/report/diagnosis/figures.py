@@ -1,8 +1,8 @@
 """Draw a diagnosis: error, slices, effects, probable causes, location of the error, cars, and what remains."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
-from typing import Final
+from typing import Any, Final
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -77,12 +77,12 @@ def draw_errors(result: Diagnosis) -> list[Illustration]:
     if not known:
         return []
     spans = [None if half is None else (value - half, value + half) for _, value, half in known]
-    made = _draw_rows("error", [what for what, *_ in known], [value for _, value, _ in known], spans, place=2)
+    names, values = [what for what, *_ in known], [value for _, value, _ in known]
+    title = "Mean absolute error of a ride [kWh]"
+    made = _draw_rows("error", names, values, spans, {"title_text": title, "rangemode": "tozero"}, "Step", place=2)
     if (floor := errors.noise_floor_kwh) is not None:
         made.add_vrect(x0=0.0, x1=floor, fillcolor="#8a8a8a", opacity=0.15, line_width=0, layer="below")
         add_reference_line(made, "measurement noise", floor)
-    made.update_xaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
-    made.update_yaxes(title_text="Step")
     caption = (
         "Lines: 95 % intervals, where rides of one vehicle-day may resemble each other. Shaded: error that measurement "
         "noise alone causes. From the second row on, the terms of the model are refitted to these rides for each car "
@@ -97,9 +97,9 @@ def draw_slices(result: Diagnosis) -> list[Illustration]:
     if not rows:
         return []
     names = [f"{one.where} ({format_count(one.rides)})" for one in rows]
-    made = _draw_rows("bias", names, [one.bias_kwh for one in rows], [one.ci95 for one in rows], place=4)
-    made.update_xaxes(title_text="Bias less that of other rides [kWh]")
-    made.update_yaxes(title_text="Rides")
+    values, spans = [one.bias_kwh for one in rows], [one.ci95 for one in rows]
+    x = {"title_text": "Bias less that of other rides [kWh]"}
+    made = _draw_rows("bias", names, values, spans, x, "Rides", place=4)
     add_reference_line(made, "", 0.0)
     caption = (
         "Points: mean over the rides that confirmed the slice. Lines: 95 % intervals. Left of 0: predicted too little. "
@@ -116,13 +116,12 @@ def draw_effects(result: Diagnosis) -> list[Illustration]:
     names = [f"{i}. {name_scoped(one.name, one.scope)}" for i, one in enumerate(rows, start=1)]
     gains = [PERCENT * (one.gain or 0.0) for one in rows]
     spans = [_to_percent(one.gain_ci95) for one in rows]
-    made = _draw_rows("gain", names, gains, spans, place=5)
     low = min(0.0, *gains, *(pair[0] for pair in spans if pair))
     high = max(0.0, *gains, *(pair[1] for pair in spans if pair))
     room = 0.04 * (high - low)
     title = "Reduction of the squared error on held-out days [%]"
-    made.update_xaxes(title_text=title, range=[low - room, high + room])
-    made.update_yaxes(title_text="Effect")
+    x = {"title_text": title, "range": [low - room, high + room]}
+    made = _draw_rows("gain", names, gains, spans, x, "Effect", place=5)
     add_reference_line(made, "", 0.0)
     caption = (
         "Each effect beside the others, as a share of the error that the terms of the model cannot explain. "
@@ -155,9 +154,11 @@ def draw_remainder(result: Diagnosis) -> list[Illustration]:
     if rows:
         spans = [_to_percent(one.energy_share_ci95) for one in rows]
         names = [f"{i}. {one.formula.removeprefix('P = c · ')}" for i, one in enumerate(rows, start=1)]
-        made = _draw_rows("energy", names, [PERCENT * (one.energy_share or 0.0) for one in rows], spans, place=3)
-        made.update_xaxes(title_text="Share of the measured energy [%]")
-        made.update_yaxes(title_text="Form")
+        shares, x = (
+            [PERCENT * (one.energy_share or 0.0) for one in rows],
+            {"title_text": "Share of the measured energy [%]"},
+        )
+        made = _draw_rows("energy", names, shares, spans, x, "Form", place=3)
         add_reference_line(made, "", 0.0)
         caption = "Each form beside the others and beside what is named. Lines: 95 % intervals."
         shown.append(Illustration("unknown", "Causes outside the library", caption, made))
@@ -165,13 +166,21 @@ def draw_remainder(result: Diagnosis) -> list[Illustration]:
 
 
 def _draw_rows(
-    name: str, names: Sequence[str], values: Sequence[float], spans: Sequence[ConfidenceInterval | None], *, place: int
+    name: str,
+    names: Sequence[str],
+    values: Sequence[float],
+    spans: Sequence[ConfidenceInterval | None],
+    x: Mapping[str, Any],
+    axis: str,
+    *,
+    place: int,
 ) -> go.Figure:
     """Draw one point per row with an interval that need not be symmetric."""
     return make_figure(
         [draw_interval_rows(name, get_style(place), names, values, spans)],
         100 + ROW * len(names),
-        y={"type": "category", "autorange": "reversed"},
+        x,
+        {"type": "category", "autorange": "reversed", "title_text": axis},
     )
 
 

@@ -46,6 +46,7 @@ from socast.tools.report.figure_style import (
     get_vehicle_style,
     make_figure,
     make_stacked_figure,
+    to_percent,
 )
 from socast.tools.report.table import format_cluster
 
@@ -130,8 +131,8 @@ def draw_relative_errors(result: RecipeEvaluation) -> go.Figure:
     made = make_stacked_figure(("here", PAPER_NAME), 680)
     for recipe in (name for name in get_recipes(result) if name in errors):
         look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
-        here = [_times(errors[recipe].get(c), 100.0) for c in columns]
-        theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
+        here = [to_percent(errors[recipe].get(c)) for c in columns]
+        theirs = [to_percent(published.get_relative_error(recipe, c)) for c in columns]
         made.add_trace(draw_curve(name, look, _label_clusters(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
             below = draw_curve(name, look, _label_clusters(columns), theirs, legendgroup=recipe, showlegend=False)
@@ -174,7 +175,7 @@ def draw_bands(result: RecipeEvaluation) -> go.Figure:
     names = [recipe for recipe in get_recipes(result) if recipe in result.bands]
     limits = list(dict.fromkeys(limit for recipe in names for limit in result.bands[recipe]))
     series = {
-        f"within ±{limit} %": [_times(result.bands[recipe].get(limit), 100.0) for recipe in names] for limit in limits
+        f"within ±{limit} %": [to_percent(result.bands[recipe].get(limit)) for recipe in names] for limit in limits
     }
     return _draw_series(result, names, series, "Share of rides [%]")
 
@@ -247,7 +248,7 @@ def draw_coverage(result: RecipeEvaluation) -> go.Figure:
         values = {"overall": each.overall}
         values |= {escape_label(format_cluster(c)): each.cluster.get(c) for c in distances} | each.season
         values |= {escape_label(get_vehicle_name(key)): share for key, share in each.vehicle_model.items()}
-        shares = [_times(value, 100.0) for value in values.values()]
+        shares = [to_percent(value) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
     made = make_figure(
@@ -293,11 +294,6 @@ def _by_model(
 def _offset(place: int, of: int) -> float:
     """Return the vertical offset of a dot within its row from its place among several dots."""
     return 0.7 * ((place + 0.5) / of - 0.5)
-
-
-def _times(value: float | None, factor: float) -> float | None:
-    """Return the product of a value and a factor, None where the value is unknown."""
-    return None if value is None else value * factor
 
 
 def _label_clusters(columns: Sequence[str]) -> list[str]:

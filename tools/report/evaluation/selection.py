@@ -97,11 +97,12 @@ def draw_elimination(result: RecipeEvaluation) -> go.Figure:
         trace = draw_curve("RFE", get_style(4), x, y, [s.loss.ci95 for s in steps])
         trace.update(showlegend=False, text=[escape_label(s.term) for s in steps])
         made.add_trace(trace, row=2, col=1)
-    made.update_xaxes(title_text="Terms kept [number]", row=1)
-    made.update_xaxes(title_text="Terms removed [number]", row=2)
-    made.update_yaxes(title_text="Mean absolute error [kWh]", row=1)
-    made.update_yaxes(title_text="Loss [kWh]", zeroline=True, row=2)
-    return made
+    return made.update_layout(
+        xaxis_title_text="Terms kept [number]",
+        xaxis2_title_text="Terms removed [number]",
+        yaxis_title_text="Mean absolute error [kWh]",
+        yaxis2={"title_text": "Loss [kWh]", "zeroline": True},
+    )
 
 
 def draw_difference_matrix(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:

@@ -23,6 +23,7 @@ from socast.tools.report.figure_style import (
     get_style,
     make_error_bars,
     make_figure,
+    to_percent,
 )
 from socast.tools.report.soc import tables
 from socast.tools.report.soc.tables import SHOWN_AT, format_bin
@@ -176,7 +177,7 @@ def draw_coverage(shares: Mapping[str, ClusteredShare], axis: str) -> go.Figure:
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[ClusteredShare]) -> list[Any]:
     """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
     enough = [share.clusters >= LEAST_CLUSTERS for share in shares]
-    values = [_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
+    values = [to_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
     low = [_reach(share.value, share.low) for share in shares]
     high = [_reach(share.value, share.high) for share in shares]
     points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=make_error_bars(high, low))
@@ -184,7 +185,7 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Clustered
     lines = go.Scatter(
         name=f"{name}: interval of too few vehicle-days",
         x=[place for one, _ in alone for place in (one, one, None)],
-        y=[end for _, share in alone for end in (_percent(share.low), _percent(share.high), None)],
+        y=[end for _, share in alone for end in (to_percent(share.low), to_percent(share.high), None)],
         mode="lines",
         line={"color": look.colour, "dash": look.dash, "width": 2},
         showlegend=False,
@@ -202,10 +203,6 @@ def _draw_estimates(
         reach = [None if up is None else min(up, y) for up, y in zip(trace.error_y.array, trace.y, strict=True)]
         trace.error_y.update(symmetric=False, arrayminus=reach)
     return trace
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
 
 
 def _reach(share: float | None, end: float | None) -> float:
