@@ -229,18 +229,15 @@ def tabulate_ride_filter(result: RecipeEvaluation) -> ReportTable:
         f"left out: {reason.replace('_', ' ')}": count for reason, count in about.unfit.items()
     }
     counts |= {"left out, all": sum(about.unfit.values()) or None, "evaluated": about.fit}
-    papers = {
-        "rides": (format_count(all_rides), ""),
-        "left out, all": (format_count(removed), _share(removed, all_rides)),
-    }
+    their_counts = {"rides": format_count(all_rides), "left out, all": format_count(removed)}
+    their_shares = {"left out, all": _share(removed, all_rides)}
 
     def make_share(name: str) -> Cell:
-        shown = "" if name == "rides" else _share(counts[name] or 0, total)
-        return Cell(shown, papers.get(name, ("", ""))[1])
+        return Cell("" if name == "rides" else _share(counts[name] or 0, total), their_shares.get(name, ""))
 
     rows = [(name, name) for name, count in counts.items() if count is not None]
     columns = (
-        ("count", lambda name: Cell(format_count(counts[name]), papers.get(name, ("", ""))[0])),
+        ("count", lambda name: Cell(format_count(counts[name]), their_counts.get(name, ""))),
         ("share", make_share),
     )
     totals = ("left out, all", "evaluated")
