@@ -26,7 +26,7 @@ class Shown(NamedTuple):
     head : str
         Head of its column, with the unit.
     format : str
-        Name of its format in `socast.tools.report.record_table`, or of one that the report of the record adds.
+        Name of its format in `socast.tools.report.table`, or of one that the report of the record adds.
     interval : str
         Field that holds its 95 % interval, if any.
     """

@@ -78,10 +78,10 @@ class RecipeEvaluation(_RecipeEvaluation, frozen=True):
 
     def plot(self) -> "go.Figure":
         """Return the average error of each recipe on each vehicle model. [kWh]"""
-        return _import("socast.tools.report.evaluation.illustrations").build_illustrations(self, "summary")[0].figure
+        return _import("socast.tools.report.evaluation.page").build_illustrations(self, "summary")[0].figure
 
     def _repr_html_(self) -> str:
-        sections = _import("socast.tools.report.evaluation.sections").build_sections(self)
+        sections = _import("socast.tools.report.evaluation.page").build_sections(self)
         return _render("Evaluation of recipes", [], sections)
 
 
@@ -93,7 +93,7 @@ class SocEvaluation(_SocEvaluation, frozen=True):
 
     def plot(self) -> "go.Figure":
         """Return the mean absolute error by the time before the end of the shift, with baselines. [%]"""
-        return _import("socast.tools.report.soc.figures").draw_errors(self)
+        return _import("socast.tools.report.soc.page").draw_errors(self)
 
     def _repr_html_(self) -> str:
         return _render(

@@ -126,9 +126,7 @@ def _format_date(day: date, beside: date | None = None) -> str:
 
 def _name_causes(causes: Sequence[CauseProbability]) -> str:
     """Return the causes of a credible set with their probabilities, in their order."""
-    names = [
-        f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %" for one in causes
-    ]
+    names = [f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %" for one in causes]
     if len(names) > SEVERAL:
         others = len(names) - SEVERAL
         names = [*names[:SEVERAL], "or another cause" if others == 1 else f"or one of {others} others"]

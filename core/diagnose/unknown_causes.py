@@ -55,7 +55,8 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
     An effect of the library that would need an implausible coefficient stands for such a cause.
     """
     out = []
-    for one in (*inference.findings, *inference.expected):
+    every: tuple[LikelyCause | ExpectedCause, ...] = (*inference.findings, *inference.expected)
+    for one in every:
         form = one.form if isinstance(one, LikelyCause) else None
         if not one.is_sure or (form is None and one.is_plausible):
             continue

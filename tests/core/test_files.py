@@ -17,9 +17,8 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import write_places
 from socast.stream.mcap_writer import replace_recording
 from socast.stream.state_file import StateFile
-from socast.tools.report.page import save
-from socast.tools.terminal.findings_file import write_findings
-from socast.tools.terminal.output import write_json
+from socast.tools.terminal.night_watch import write_findings
+from socast.tools.terminal.output import write_file, write_json
 from socast.tools.terminal.table_files import ParquetTable
 
 OLD = b"the content before"
@@ -61,7 +60,7 @@ WRITERS = {
     "model": lambda path: models.save(models.load("extended_physical"), path),
     "JSON": lambda path: write_json(path, "tables", {"rides": [{"ride": "x" * 1000}]}),
     "findings": lambda path: write_findings(path, []),
-    "page": lambda path: save("x" * 1000, path),
+    "page": lambda path: write_file(path, b"x" * 1000),
     "state": write_state,
     "table": write_table,
     "map of elevation": write_map,

@@ -12,7 +12,7 @@ from socast.core.pipeline import Pipeline
 from socast.stream.loop import Tally, run
 from socast.stream.memory import MemorySink, MemorySource
 from socast.stream.nightly_diagnosis import NightlyDiagnosis
-from socast.tools.terminal.findings_file import make_finding_fields
+from socast.tools.terminal.night_watch import make_finding_fields
 from tests.support.findings import make_finding
 from tests.support.recorded_shift import make_two_days
 

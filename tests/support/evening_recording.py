@@ -21,7 +21,7 @@ from socast.core.wire.messages import Message, address
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.tools.cli import main
-from socast.tools.terminal.findings_file import read_findings
+from socast.tools.terminal.night_watch import read_findings
 from tests.support.paths import RECORDINGS
 
 CAR, EFFECT, SIZE = "taxi-006", "brake_drag", 0.12

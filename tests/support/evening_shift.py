@@ -4,8 +4,8 @@ from socast.core import models
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.tools.commands.demo import HISTORY, SHIFT
+from socast.tools.terminal.forecast_options import learn_from_recordings
 from socast.tools.terminal.model_comparison import find_models
-from socast.tools.terminal.warm_up import learn_from_recordings
 
 EVENING = SHIFT
 """Recording of the shift."""

@@ -14,8 +14,8 @@ import pandas as pd
 from socast.core import models
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.diagnose.records import NamedEffect
-from socast.tools.report.diagnosis.coefficient_words import format_unit
-from socast.tools.report.diagnosis.partial_figures import POWER, divide_units
+from socast.tools.report.diagnosis.finding_words import format_unit
+from socast.tools.report.diagnosis.residual_figures import POWER, divide_units
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
 

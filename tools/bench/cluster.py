@@ -28,7 +28,7 @@ from socast.core.fit.ride_blocks import list_parts
 from socast.tools.cluster.run import REPORT
 from socast.tools.cluster.simulation import TRUTH
 from socast.tools.terminal.ride_source import RIDES, WINDOWS
-from socast.tools.terminal.table_source import QUALITY
+from socast.tools.terminal.table_files import QUALITY
 
 LONGEST_SHIFT_H: Final = 8.0
 SAMPLES_PER_HOUR: Final = 1200

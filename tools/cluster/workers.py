@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from socast.tools.cluster.dask_runner import ClusterPlace, open_runner
 from socast.tools.cluster.runner import InProcessRunner, Runner, TaskRecord
-from socast.tools.terminal.cluster_option import show_stages
 from socast.tools.terminal.output import write_json
+from socast.tools.terminal.progress import show_stages
 
 
 class Workers(NamedTuple):

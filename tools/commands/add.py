@@ -19,15 +19,14 @@ from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.fit.measured_rows import join_tables
 from socast.core.models import LinearModel
 from socast.tools.commands.diagnose import LeastGain, read_tables
-from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
-    check_outputs,
     make_console,
-    select_model_files,
+    print_plain,
     write_json,
 )
+from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 
@@ -61,22 +60,22 @@ def add_effect(
     html_file: HtmlFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
-    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history, page  # noqa: PLC0415 - figures take seconds to import
 
-    source.check()
+    source.check(out, json_file, html_file, models=[model])
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
-    check_outputs([*source.list_read_files(), *select_model_files([model])], out, json_file, html_file)
     tables = read_tables(source, base)
     with show_elapsed("fitting with and without the effect"):
         added = try_effect(base, effect, scope or (), *tables, least=least_gain)
     write_json(json_file, "add", added.trial.to_json())
     console = make_console(json_file)
     if html_file:
-        history.write_trial(added.trial, survey_both(base, added.model, *tables), html_file)
+        surveys = survey_both(base, added.model, *tables)
+        page.write_report(history.build_trial_report(added.trial, surveys), html_file)
     history.print_trial(added.trial, console)
     if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"report in {html_file}")
     if not added.trial.accepted:
         undecided = added.trial.outcome == UNDECIDED
         if not (force or (undecided and even_if_undecided)):
@@ -88,8 +87,10 @@ def add_effect(
             )
         added = add.force_addition(added)
     models.save(added.model, out)
-    message = f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}"
-    console.print(message, markup=False, highlight=False, soft_wrap=True)
+    print_plain(
+        console,
+        f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}",
+    )
 
 
 def survey_both(

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import typer
 
-from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
 from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import Message, Weather, address
@@ -21,7 +20,7 @@ from socast.stream.recording_metadata import make_metadata
 from socast.stream.source import merge_sources
 from socast.tools.anonymise.disguise import find_centre, keeps_days, make_disguise
 from socast.tools.anonymise.message_rewriter import MessageRewriter
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, refuse_existing, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 
 HOUR_NS: Final = 3_600_000_000_000
@@ -91,13 +90,11 @@ def anonymise(
     """
     sources = open_recordings(recordings)
     check_outputs(recordings, out, json_file)
-    if out.is_file():
-        raise SettingsError(f"{out} is there already and would be overwritten; name another file")
+    refuse_existing(out)
     report = rewrite_recordings(sources, out, SystemRandom())
     write_json(json_file, "anonymise", report)
     console = make_console(json_file)
-    for line in describe(report, out):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, *describe(report, out))
     warn_of_losses(sources)
 
 

@@ -16,7 +16,7 @@ from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.core.wire.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
 from socast.tools.terminal.time_zone import TimeZone, find_zone, format_local
 
 LOW_RISK: Final = 0.05
@@ -100,7 +100,7 @@ def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
     word, sentence = verdict(outlook)
     console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
     for name, figure in figures(outlook, zone):
-        console.print(f"  {name:<14} {figure}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"  {name:<14} {figure}")
 
 
 def verdict(outlook: Outlook) -> tuple[str, str]:
@@ -147,7 +147,9 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         yield "besides", f"{outlook.waiting_energy_kwh:.1f} kWh for waiting, heating and empty ways until {until}"
     if outlook.soc_pct is not None:
         yield "now", _now(outlook, zone)
-    if outlook.consumption_scale is not None and _knows_capacity(outlook):
+    capacity, sd = outlook.usable_capacity_kwh, outlook.usable_capacity_sd_kwh
+    knows_capacity = capacity is not None and sd is not None and sd < SURE_CAPACITY * capacity
+    if outlook.consumption_scale is not None and knows_capacity:  # else the two cannot be told apart
         yield (
             "this car today",
             f"{_compare(outlook.consumption_scale)} is usual for its vehicle model at this temperature",
@@ -202,12 +204,6 @@ def _share(risk: float) -> str:
     if LOW_RISK - 0.005 <= risk < LOW_RISK:
         return f"under {LOW_RISK * 100:.0f} %"
     return "over 99 %" if risk > 0.99 else f"{risk * 100:.0f} %"
-
-
-def _knows_capacity(outlook: Outlook) -> bool:
-    """Return whether the usable capacity is known so well that it can be told from the consumption."""
-    capacity, sd = outlook.usable_capacity_kwh, outlook.usable_capacity_sd_kwh
-    return capacity is not None and sd is not None and sd < SURE_CAPACITY * capacity
 
 
 def _compare(ratio: float) -> str:

@@ -15,19 +15,19 @@ from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.settings import Settings
 from socast.tools.commands.spikein import parse_size
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
     ModelName,
-    check_outputs,
-    select_model_files,
-    show_report,
+    parse_date,
+    refuse,
+    split_names,
     write_json,
 )
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import Rides, RideSource
 
 VEHICLE = "vehicle_id"
@@ -83,11 +83,9 @@ def compare(
     socast before-after tables --model fitted.json --vehicles taxi-005,taxi-007 --plan 3%
     socast before-after tables --model fitted.json --toggle eco-mode.csv --html eco-mode.html
     """
-    source.check()
+    source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
     campaign = _read_campaign(vehicles, at, until, days, toggle, what, plan)
     loaded = models.load(model)
-    given = [*source.list_read_files(), *select_model_files([model]), *([toggle] if toggle else [])]
-    check_outputs(given, json_file, html_file)
     rides = select_rides(source.read_rides(loaded.effects), {loaded.name: loaded})
     car_days = gather_car_days(rides, loaded.name, LEAST_CAMPAIGN_KWH)
     if toggle is None and campaign.at is None:
@@ -107,7 +105,7 @@ def _read_campaign(
     plan: str | None,
 ) -> Campaign:
     """Return the campaign that the options describe."""
-    cars = tuple(filter(None, (part.strip() for part in (vehicles or "").split(","))))
+    cars = split_names(vehicles)
     sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
     if toggle is not None:
         if beside := [f"--{name}" for name, value in {"at": at, "until": until, "days": days}.items() if value]:
@@ -118,24 +116,20 @@ def _read_campaign(
         return Campaign(
             cars or tuple(dict.fromkeys(span.vehicle_id for span in spans)), None, None, None, spans, what, sizes
         )
-    if not cars:
-        raise SettingsError("--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005")
-    if at is None and plan is None:
-        raise SettingsError("--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%")
+    refuse(
+        (not cars, "--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005"),
+        (
+            at is None and plan is None,
+            "--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%",
+        ),
+    )
     first, last = (
-        None if each is None else _parse_date(name, each) for name, each in (("--at", at), ("--until", until))
+        None if each is None else parse_date(name, each).toordinal()
+        for name, each in (("--at", at), ("--until", until))
     )
     if last is not None and (first is None or last <= first):
         raise SettingsError(f"--until is {until}, and must be after --at{f', {at}' if at else ''}: give a later date")
     return Campaign(cars, first, last, days, (), what, sizes)
-
-
-def _parse_date(place: str, text: str) -> int:
-    """Return the ordinal of a date."""
-    try:
-        return date.fromisoformat(text.strip()).toordinal()
-    except ValueError:
-        raise SettingsError(f"{place} is '{text}'; give a date such as 2018-11-20") from None
 
 
 def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
@@ -151,9 +145,9 @@ def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ..
         )
     spans = []
     for line, row in enumerate(table.to_dict("records"), start=2):
-        begin = _parse_date(f"{path}, line {line}: {columns[0]}", row[columns[0]])
+        begin = parse_date(f"{path}, line {line}: {columns[0]}", row[columns[0]]).toordinal()
         end = row[columns[1]].strip()
-        last = _parse_date(f"{path}, line {line}: {columns[1]}", end) if end else date.max.toordinal()
+        last = parse_date(f"{path}, line {line}: {columns[1]}", end).toordinal() if end else date.max.toordinal()
         if last < begin:
             raise SettingsError(f"{path}, line {line}: the end {end} is before the begin {row[columns[0]]}; swap them")
         named = [row[VEHICLE].strip()] if VEHICLE in table else cars

@@ -3,8 +3,8 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
 from typing import Annotated, Final
 
 import typer
@@ -30,6 +30,7 @@ PASSWORD: Final = "SOCAST_MQTT_PASSWORD"  # noqa: S105 - the name of an environm
 app = typer.Typer(help="Bridges from other ecosystems into Zenoh.", no_args_is_help=True)
 
 
+@dataclass(frozen=True)
 class BridgeOptions:
     """Hold the options that all bridges share, and run a bridge.
 
@@ -39,22 +40,19 @@ class BridgeOptions:
         Time between two log lines of counters. [s]
     """
 
-    def __init__(
-        self, connection: Connection, prefix: str, assembler: RowAssembler, report_s: float, *, as_json: bool
-    ) -> None:
-        self.connection, self.prefix, self.assembler = connection, prefix, assembler
-        self._report_s, self._as_json = report_s, as_json
+    connection: Connection
+    prefix: str
+    assembler: RowAssembler
+    report_s: float
+    as_json: bool
 
     def run(self, open_source: Callable[[ExitStack], SignalSource]) -> None:
         """Join the router, open the source, and pass its signals on until SIGINT or SIGTERM."""
-        log_lines(as_json=self._as_json)
+        log_lines(as_json=self.as_json)
         with stop_on_signals() as stop, ExitStack() as stack:
             node = stack.enter_context(Node(self.connection))
             delivery = stack.enter_context(ZenohDelivery(node, self.prefix))
-            self._run(open_source(stack), delivery, stop)
-
-    def _run(self, source: SignalSource, delivery: ZenohDelivery, stop: Event) -> None:
-        run_bridge(source, self.assembler, delivery, stop, self._report_s)
+            run_bridge(open_source(stack), self.assembler, delivery, stop, self.report_s)
 
 
 def make_bridge_options(
@@ -87,7 +85,7 @@ def make_bridge_options(
     """Return the options that all bridges share."""
     connection = Connection(tuple(connect or ()), mode="client", config=config)
     assembler = RowAssembler(period, hold, parse_models(model or []))
-    return BridgeOptions(connection, parse_prefix(prefix), assembler, report, as_json=json_log)
+    return BridgeOptions(connection, parse_prefix(prefix), assembler, report, json_log)
 
 
 insert_bridge_options = insert_options("options", make_bridge_options, "Rows and their router")

@@ -1,7 +1,5 @@
 """`socast check`: show what the logger of each car sends wrong, how often, and what that costs."""
 
-from collections.abc import Sequence
-
 import pandas as pd
 
 from socast.core.pipeline import Pipeline
@@ -10,10 +8,15 @@ from socast.core.totals.logger_faults import list_facts
 from socast.core.totals.run_counters import CarCounters
 from socast.stream.elevation_files import open_elevation
 from socast.stream.source import merge_sources
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles
-from socast.tools.terminal.fault_report import RIDE_COLUMNS, choose_next_step, describe_car, report_cars, show_cars
-from socast.tools.terminal.mean_powers import find_mean_powers
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
+from socast.tools.terminal.fault_report import (
+    RIDE_COLUMNS,
+    choose_next_step,
+    describe_car,
+    find_mean_powers,
+    report_cars,
+    show_cars,
+)
 from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 from socast.tools.terminal.ride_source import tabulate
@@ -48,7 +51,9 @@ def check(
     tabulate(sources, pipeline, lambda ended, _: rides.append(ended[list(RIDE_COLUMNS)]))
     names = pipeline.lanes.names
     facts = list_facts(pipeline.quality()["logger_faults"])
-    for name, fact in find_mean_powers(merge_sources(sources), _list_announced(pipeline, names)).items():
+    messages = [pipeline.cars.messages[kind] for kind in pipeline.cars.of_lane.tolist()]
+    announced = {name for name, about in zip(names, messages, strict=False) if about and about.power_covers is not None}
+    for name, fact in find_mean_powers(merge_sources(sources), announced).items():
         facts.setdefault(name, []).append(fact)
     cars = report_cars(names, *counters.list_cars(len(names)), pd.concat(rides, ignore_index=True), facts)
     cars = [car for car in cars if car.samples]
@@ -64,9 +69,3 @@ def check(
         console.print(f"Payloads that cannot be read: {causes}.", markup=False, highlight=False)
     console.print(step, style="bold", markup=False, highlight=False)
     warn_of_losses(sources)
-
-
-def _list_announced(pipeline: Pipeline, names: Sequence[str]) -> set[str]:
-    """Return the cars that announce what their power covers."""
-    messages = [pipeline.cars.messages[kind] for kind in pipeline.cars.of_lane.tolist()]
-    return {name for name, about in zip(names, messages, strict=False) if about and about.power_covers is not None}

@@ -22,15 +22,9 @@ from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.models import BUILT_IN_MODELS, LinearModel
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    check_outputs,
-    select_model_files,
-    show_report,
-    write_json,
-)
-from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, refuse, select_model_files, write_json
+from socast.tools.terminal.report_output import show_report
+from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY
 
 
@@ -65,9 +59,7 @@ def compare_models(
     socast compare motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast compare tables --model fitted.json --json - | jq .models
     """
-    if ride is not None and against:
-        raise SettingsError("--ride shows one ride of the first rides; leave out --against")
-    source = place_source(source, place)
+    refuse((ride is not None and against, "--ride shows one ride of the first rides; leave out --against"))
     other = dataclasses.replace(source, given=against or ())
     read = select_model_files(model)
     for each in (source, other) if against else (source,):
@@ -77,11 +69,11 @@ def compare_models(
     chosen = named(model)
     wanted = [name for each in chosen.values() for name in each.effects]
     with ExitStack() as folders:
-        first, second = (folders.enter_context(each.open_tables(wanted)) for each in (source, other))
+        first, second = (folders.enter_context(each.open_tables(wanted, place)) for each in (source, other))
         if ride is not None:
             trace = _trace(first, ride, chosen, wanted)
             write_json(json_file, "compare", {"trace": trace.to_json()})
-            show_report("comparison.trace_page", trace, html_file, json_file)
+            show_report("comparison.trace", trace, html_file, json_file)
             return
         table, read_windows, read_all = _read(first, wanted)
         selected, given = select_rides(table, chosen), dict(zip(chosen, model, strict=True))

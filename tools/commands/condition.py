@@ -6,14 +6,8 @@ import typer
 
 from socast.core import models
 from socast.core.condition.car_condition import assess_condition
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    check_outputs,
-    select_model_files,
-    show_report,
-    write_json,
-)
+from socast.tools.terminal.output import HtmlFile, JsonFile, write_json
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 
@@ -37,8 +31,7 @@ def show_condition(
     socast condition recordings/autumn.mcap --model extended_physical
     socast condition tables --model fitted.json --json - | jq '.cars[0]'
     """
-    source.check()
-    check_outputs([*select_model_files([model]), *source.list_read_files()], json_file, html_file)
+    source.check(json_file, html_file, models=[model])
     chosen = models.load(model)
     with source.open_tables(chosen.effects) as tables:
         rides = tables.read(chosen.effects, library=False)[0] if tables.is_recorded else tables.read_rides()

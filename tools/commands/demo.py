@@ -34,13 +34,13 @@ from socast.tools.terminal.demo_verdict import (
     show_end,
     write_verdict,
 )
+from socast.tools.terminal.forecast_options import learn_from_recordings
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, advise_fit, find_models, load_models
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes
 from socast.tools.terminal.time_zone import TimeZone, find_zone
-from socast.tools.terminal.warm_up import learn_from_recordings
 
 RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
 SHIFT: Final = RECORDINGS / "evening.mcap"

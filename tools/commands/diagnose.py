@@ -24,7 +24,6 @@ from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
-from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
@@ -32,18 +31,20 @@ from socast.core.models.features import EFFECT_PREFIX, FEATURES, list_scope
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.elapsed_time import show_elapsed
-from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
+from socast.tools.terminal.night_watch import read_findings, show_changes, write_findings
 from socast.tools.terminal.output import (
     HtmlFile,
     JsonFile,
-    check_outputs,
     make_console,
-    select_model_files,
-    show_report,
+    parse_date,
+    print_plain,
+    refuse,
+    write_file,
     write_json,
 )
-from socast.tools.terminal.ride_source import RideSource, insert_ride_source, place_source
+from socast.tools.terminal.progress import show_elapsed
+from socast.tools.terminal.report_output import show_report
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY
 
 ENERGY_COLUMNS = (
@@ -112,15 +113,20 @@ def diagnose_rides(
     socast diagnose motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast diagnose tables --model fitted.json --auto -o best.json
     """
-    _check_options(auto, out, groups or events, findings)
-    first_day = _parse_date(since) if since else None
-    source.check()
+    refuse(
+        (auto != (out is not None), "--auto writes the final model: give --auto and -o M2 together, or neither"),
+        (
+            auto and (groups or events),
+            "--groups and --events have no effect with --auto, which adds effects of all cars",
+        ),
+        (auto and findings, "--findings has no effect with --auto, which adds what it finds: give one of the two"),
+    )
+    first_day = parse_date("--since", since) if since else None
+    source.check(json_file, html_file, suggest, findings, out, models=[model])
     loaded = models.load(model)
-    read_from = [*source.list_read_files(), *select_model_files([model])]
-    check_outputs(read_from, json_file, html_file, suggest, findings, out)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
-    with place_source(source, place).open_tables(loaded.effects) as made:
+    with source.open_tables(loaded.effects, place) as made:
         table, windows = read_tables(made, loaded)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)
@@ -151,8 +157,10 @@ def diagnose_rides(
     if findings:
         show_changes(earlier, after, console)
     if out is not None:
-        message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
-        console.print(message, markup=False, highlight=False, soft_wrap=True)
+        print_plain(
+            console,
+            f"{out}: version {loaded.version}; show its steps: socast history {out}",
+        )
 
 
 def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[str]:
@@ -243,24 +251,6 @@ def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding
     return merged
 
 
-def _check_options(auto: bool, out: Path | None, groups: Path | None, findings: Path | None) -> None:
-    """Refuse options that contradict each other."""
-    if auto != (out is not None):
-        raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
-    if auto and groups:
-        raise SettingsError("--groups and --events have no effect with --auto, which adds effects of all cars")
-    if auto and findings:
-        raise SettingsError("--findings has no effect with --auto, which adds what it finds: give one of the two")
-
-
-def _parse_date(text: str) -> date:
-    """Return the date of --since, or raise `SettingsError`."""
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise SettingsError(f"--since is '{text}'; give a date such as 2018-11-01") from None
-
-
 def _diagnose(
     model: LinearModel,
     rides: pd.DataFrame,
@@ -339,8 +329,5 @@ def _write_suggestion(result: Diagnosis, path: Path | None) -> str | None:
     source = next((one.file for one in result.unknown if one.file), None)
     if not (path and source):
         return None
-    try:
-        write_whole(path, source.encode())
-    except OSError as error:
-        raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
+    write_file(path, source.encode())
     return str(path)

@@ -1,6 +1,11 @@
 """`socast effects`: show the library of effects, and write and check files of user-defined effects."""
 
+import ast
+import inspect
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from textwrap import dedent
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -9,12 +14,21 @@ from rich.text import Text
 
 from socast.core import effects
 from socast.core.columns import SIGNALS
-from socast.core.effects import Effect, Parameter
-from socast.core.errors import SettingsError
-from socast.core.files import write_whole
+from socast.core.effects.declaration import Effect, Parameter
+from socast.core.effects.source_file import render_source
+from socast.core.errors import EffectError
 from socast.core.formatting import everyday
-from socast.tools.terminal.effect_template import blank, from_effect
-from socast.tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import (
+    EffectFiles,
+    JsonFile,
+    check_outputs,
+    make_console,
+    print_plain,
+    refuse,
+    refuse_existing,
+    write_file,
+    write_json,
+)
 from socast.tools.terminal.rich_table import Column, make_description, make_table
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
@@ -35,12 +49,12 @@ def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
     socast effects list --effects my_effects.py --json - | jq '.effects[].name'
     """
     topics = effects.group_by_topic()
-    table = _table()
+    table = _tabulate(())
     for topic, effects_of_topic in topics.items():
         table.add_section()
         table.add_row(Text(topic, "bold"))
         for effect in effects_of_topic:
-            _add(table, effect)
+            table.add_row(*_describe(effect))
     listed = [
         make_effect_record(effect, topic) for topic, effects_of_topic in topics.items() for effect in effects_of_topic
     ]
@@ -85,12 +99,9 @@ def check_file(
     socast effects check my_effects.py
     """
     checked = effects.load_file(file)
-    table = _table()
-    for effect in checked:
-        _add(table, effect)
     write_json(json_file, "effects", {"effects": [make_effect_record(effect, file.name) for effect in checked]})
     console = make_console(json_file)
-    console.print(table)
+    console.print(_tabulate(checked))
     count = f"{len(checked)} effect{'s' if len(checked) > 1 else ''}"
     console.print(Text(f"{count} in {file}: all checks passed."))
 
@@ -109,19 +120,16 @@ def new_file(
     socast effects new my_effects.py
     socast effects new my_effects.py --from cold_rolling
     """
-    if file.suffix != ".py":
-        raise SettingsError(f"{file}: effects are written in Python: name a file that ends in .py")
-    if file.exists():
-        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    refuse((file.suffix != ".py", f"{file}: effects are written in Python: name a file that ends in .py"))
+    refuse_existing(file)
     name = "my_effect" if origin is None else f"my_{effects.get(origin).base}"
     content = blank(name) if origin is None else from_effect(effects.get(origin), name)
     check_outputs((), file)
-    try:
-        write_whole(file, content.encode())
-    except OSError as error:
-        raise SettingsError(f"{file} cannot be written: {error.strerror}; name a file in another folder") from error
-    message = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"
-    make_console().print(message, markup=False, highlight=False, soft_wrap=True)
+    write_file(file, content.encode())
+    print_plain(
+        make_console(),
+        f"{file} holds the effect {name}. Edit it, then: socast effects check {file}",
+    )
 
 
 def _list_properties(effect: Effect, topic: str) -> list[tuple[str, str]]:
@@ -147,23 +155,22 @@ def _list_properties(effect: Effect, topic: str) -> list[tuple[str, str]]:
     ]
 
 
-def _table() -> Table:
-    """Return an empty table for a list of effects."""
-    return make_table(
-        [
-            Column("effect", fixed=True),
-            Column("formula", ratio=1),
-            Column("coefficient", ratio=1),
-            Column("plausible", fixed=True),
-            Column("per", fixed=True),
-        ]
-    )
+def _tabulate(listed: Iterable[Effect]) -> Table:
+    """Return a table of effects."""
+    columns = [
+        Column("effect", fixed=True),
+        Column("formula", ratio=1),
+        Column("coefficient", ratio=1),
+        Column("plausible", fixed=True),
+        Column("per", fixed=True),
+    ]
+    return make_table(columns, rows=map(_describe, listed))
 
 
-def _add(table: Table, effect: Effect) -> None:
-    """Add the row of an effect to a table."""
+def _describe(effect: Effect) -> Sequence[str | Text]:
+    """Return the row of an effect."""
     unit = "" if effect.unit == "1" else f" [{effect.unit}]"
-    table.add_row(effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect), effect.per)
+    return effect.name, Text(effect.formula), Text(effect.coefficient + unit), _range(effect), effect.per
 
 
 def _range(effect: Effect) -> str:
@@ -227,3 +234,65 @@ def make_effect_record(effect: Effect, topic: str) -> dict[str, Any]:
         "scale": effect.scale,
         "tabulated": _tabulated(effect),
     }
+
+
+def blank(name: str = "my_effect") -> str:
+    """Return the text of a file with one example effect that the user edits."""
+    return render_source(
+        name,
+        arguments=("stop_rate", "ambient"),
+        body="return stop_rate * np.maximum(inside - ambient, 0.0)",
+        documentation="Say what it is: P = n max(T_in - T, 0), times J/K.",
+        coefficient="what is fitted, in words",
+        unit="J/K",
+        low=300.0,
+        high=30_000.0,
+        source="where formula and range come from, to the page or DOI",
+        per="time",
+        parameters={"inside": Parameter(294.15, "K", 285.15, 299.15, grid=(288.15, 294.15, 298.15))},
+        shown_by="which data shows it best (may be left out)",
+        words="each stop costs {value} kJ for each degree that it is colder outside than {inside} (may be left out)",
+        scale=1e-3,
+    )
+
+
+def from_effect(effect: Effect, name: str) -> str:
+    """Return the text of a file with a copy of an effect under another name."""
+    try:
+        source = dedent(inspect.getsource(effect.function))
+    except OSError as error:
+        raise EffectError(f"effect {effect.base}: its source is not at hand: begin with an empty scaffold") from error
+    (function,) = ast.parse(source).body
+    if not isinstance(function, ast.FunctionDef):
+        raise EffectError(f"effect {effect.base}: it is no plain function: begin with an empty scaffold")
+    first = function.body[1]  # the statement after the docstring
+    body = dedent("\n".join(source.splitlines()[first.lineno - 1 :]))
+    return render_source(
+        name,
+        arguments=tuple(a.arg for a in (*function.args.args, *function.args.kwonlyargs) if a.arg in effect.arguments),
+        body=body,
+        documentation=inspect.getdoc(effect.function) or "",
+        coefficient=effect.coefficient,
+        unit=effect.unit,
+        low=effect.low,
+        high=effect.high,
+        source=effect.source,
+        per=effect.per,
+        parameters=effect.parameters,
+        confused_with=(effect.base,),
+        shown_by=effect.shown_by,
+        words=effect.words,
+        scale=effect.scale,
+        imports=_imports(effect),
+    )
+
+
+def _imports(effect: Effect) -> list[str]:
+    """Return import statements for the names that a function uses from its module, without imported modules."""
+    code, there = effect.function.__code__, effect.function.__globals__
+    taken = {name: there[name] for name in code.co_names if name in there}
+    return [
+        f"from {value.__module__} import {name}"
+        for name, value in taken.items()
+        if not isinstance(value, ModuleType) and hasattr(value, "__module__")
+    ]

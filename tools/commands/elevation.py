@@ -19,7 +19,7 @@ from socast.stream.elevation_files import SUFFIX, read_places, write_places
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from socast.tools.terminal.rich_table import make_description
 
@@ -58,7 +58,7 @@ def learn(
     write_json(json_file, "elevation", {"learned": summary._asdict(), "map": describe(places)})
     console = make_console(json_file)
     console.print(make_description(_describe_rows(places, summary)))
-    console.print(f"{len(places):,} places in {out}", markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, f"{len(places):,} places in {out}")
     warn_of_losses(sources)
 
 

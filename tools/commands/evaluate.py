@@ -1,8 +1,7 @@
 """`socast evaluate`: evaluate every model on held-out rides, as the paper does and beyond the paper."""
 
 import time
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -10,8 +9,7 @@ from typing import Annotated
 import joblib
 import typer
 from msgspec.structs import replace
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
@@ -26,8 +24,10 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
-from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.output import HtmlFile, JsonFile, write_json
+from socast.tools.terminal.progress import show_bar
+from socast.tools.terminal.report_output import show_report
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import KEY, is_table
 
 LEAST_REPEATS = 2
@@ -87,10 +87,9 @@ def evaluate_tables(
     for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
         if value is not None and value < least:
             raise SettingsError(f"{name} is {value}; give {least} or more")
-    source.check()
-    check_outputs(source.list_read_files(), json_file, html_file)
+    source.check(json_file, html_file)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
+    with source.open_tables((), place if source.is_recorded else None, always=True) as made:
         files = made.files
         beside = [file.with_name(WINDOWS) for file in files]
         job = EvaluationJob(
@@ -108,7 +107,7 @@ def evaluate_tables(
     seconds = round(time.perf_counter() - began, 1)
     result = replace(result, about=replace(result.about, seconds=seconds))
     write_json(json_file, "evaluate", result.to_json())
-    _report(result, html_file, json_file)
+    show_report("evaluation.page", result, html_file, json_file)
 
 
 def window_columns(names: Collection[str] = ()) -> list[str]:
@@ -123,7 +122,8 @@ def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) 
     """Return the evaluation, by processes of this command or by workers."""
     if place is None:
         plan = plan_job(job)
-        with running() as step:
+        columns = (MofNCompleteColumn(), TextColumn("runs"), TimeElapsedColumn(), TimeRemainingColumn())
+        with show_bar("evaluating", *columns, total=None) as step:
             return tabulate_runs(plan, run_in_parallel(plan.calls, jobs or joblib.cpu_count(), step))
     if jobs is not None:
         raise SettingsError("--jobs and --cluster both say how many processes work; give one of the two")
@@ -132,33 +132,3 @@ def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) 
         open_workers(place, Path(folder), "evaluation") as workers,
     ):
         return evaluate_by_workers(job, workers)
-
-
-@contextmanager
-def running() -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error; yield the function that updates it with the number of finished runs."""
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("evaluating"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("evaluating", total=None)
-        yield lambda done, of: progress.update(task, completed=done, total=of)
-
-
-def _report(result: RecipeEvaluation, html_file: Path | None, json_file: Path | None) -> None:
-    """Write the HTML page and print the tables."""
-    from socast.tools.report import page  # noqa: PLC0415 - figures take seconds to import
-    from socast.tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
-
-    console = make_console(json_file)
-    if html_file:
-        page.write(result, html_file)
-    terminal.show(result, console)
-    if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)

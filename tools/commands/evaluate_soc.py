@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import pandas as pd
 import typer
@@ -20,9 +20,8 @@ from socast.core.settings import Settings
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import open_elevation
 from socast.stream.source import Source, merge_sources
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles, warn_outside
-from socast.tools.terminal.forecast_run import run_forecasts
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options, warn_outside
+from socast.tools.terminal.forecast_options import run_forecasts
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -32,19 +31,10 @@ from socast.tools.terminal.output import (
     VehicleFiles,
     check_outputs,
     select_model_files,
-    show_report,
     write_json,
 )
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
-
-
-class SocTables(NamedTuple):
-    """Hold what `socast.core.evaluate.soc.report.evaluate_soc` evaluates: forecasts, shifts, legs and plans."""
-
-    outlooks: pd.DataFrame
-    shifts: pd.DataFrame
-    legs: pd.DataFrame
-    plans: pd.DataFrame
+from socast.tools.terminal.report_output import show_report
 
 
 class SocForecasts:
@@ -87,12 +77,12 @@ class SocForecasts:
         self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()
 
-    def tables(self) -> SocTables:
-        """Return everything that was recorded; call this once."""
+    def tables(self) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+        """Return all forecasts, shifts, legs and plans that were recorded; call this once."""
         self._collect()
         shifts = self.pipeline.take_shifts()
         legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
-        return SocTables(pd.concat(self._outlooks, ignore_index=True), shifts, legs, self._plans.table())
+        return pd.concat(self._outlooks, ignore_index=True), shifts, legs, self._plans.table()
 
     def evaluated(self, displays: pd.DataFrame | None = None) -> SocEvaluation:
         """Return the evaluation of all forecasts, see `socast.core.evaluate.soc.report.evaluate_soc`."""

@@ -24,7 +24,7 @@ from socast.core.fit.records import (
 from socast.core.fit.ride_blocks import RideParquet
 from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.formatting import format_count, format_minus
-from socast.core.models import ANY, LinearModel, Term
+from socast.core.models import ANY, LinearModel
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.linear import Training
 from socast.core.models.plausibility import describe_implausible
@@ -32,10 +32,10 @@ from socast.core.records import list_shown
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.workers import open_workers
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.elapsed_time import show_elapsed
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, make_console, print_plain, write_json
+from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.rich_table import Column, make_table
-from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source
 from socast.tools.terminal.table_files import is_table, read
 
 BASE_RECIPE = "road_load"
@@ -90,36 +90,33 @@ def fit(
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
-    source.check()
-    check_outputs(source.list_read_files(), out, json_file)
+    source.check(out, json_file)
     _refuse_undivided(chosen, place, adapted=base is not None)
-    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
+    with source.open_tables((), place if source.is_recorded else None, always=True) as made:
         files = made.files
         determined: dict[str, list[Determination]] = {}
         if place and isinstance(chosen, LinearRecipe):
-            model = _fit_by_workers(chosen, files, out, place)
+            with open_workers(place, out.resolve().parent, "fit") as workers:  # which sum the blocks of rides
+                model = chosen.fit_parquet(*(file.resolve() for file in files), run=workers.run)
         else:
             with show_elapsed("fitting"):
                 if base is not None:
                     model = adapt(base, RideParquet(tuple(files)).table())
                 elif isinstance(chosen, WindowRecipe):
                     model, determined = chosen.determine(*_read_tables(files))
+                elif isinstance(chosen, LinearRecipe):  # which needs little memory
+                    model = chosen.fit_parquet(*files)
                 else:
-                    model = _fitted(chosen, files)
+                    model = chosen.fit(RideParquet(tuple(files)).table())
     models.save(model, out)
     fitted = summarise_model(model, determined)
     write_json(json_file, "fit", fitted.to_json())
     console = make_console(json_file)
     show(fitted, model, console)
-    message = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
-    console.print(message, markup=False, highlight=False, soft_wrap=True)
-
-
-def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
-    """Return the fitted model; use little memory if the recipe allows it."""
-    if isinstance(chosen, LinearRecipe):
-        return chosen.fit_parquet(*files)
-    return chosen.fit(RideParquet(tuple(files)).table())
+    print_plain(
+        console,
+        f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}",
+    )
 
 
 def _read_tables(files: Sequence[Path]) -> tuple[pd.DataFrame, pd.DataFrame | None]:
@@ -137,12 +134,6 @@ def _refuse_undivided(chosen: Recipe, place: ClusterPlace | None, *, adapted: bo
         raise SettingsError(f"{what} all rides at once; leave out --cluster, which divides the fits of {divided}")
 
 
-def _fit_by_workers(chosen: LinearRecipe, files: Sequence[Path], out: Path, place: ClusterPlace) -> LinearModel:
-    """Return the fitted model; workers sum the blocks of rides."""
-    with open_workers(place, out.resolve().parent, "fit") as workers:
-        return chosen.fit_parquet(*(file.resolve() for file in files), run=workers.run)
-
-
 def show(made: FitSummary, model: LinearModel, console: Console) -> None:
     """Print the rides used, the errors of each fit, the coefficients and the accessory curves."""
     if isinstance(RECIPES.get(made.recipe), WindowRecipe) and find_fit_step(model).rows == "rides":
@@ -150,16 +141,23 @@ def show(made: FitSummary, model: LinearModel, console: Console) -> None:
     if made.training is not None:
         _show_training(made.training, made.fits, console)
     numbers = ("rides", "MAE in sample, kWh", "residual SD, kWh")
-    table = make_table([Column("vehicle model"), *(Column(head, number=True) for head in numbers)], made.title)
-    for key, fit in made.fits.items():
-        errors = ("" if error is None else f"{error:.3f}" for error in (fit.mae_in_sample_kwh, fit.residual_sd_kwh))
-        table.add_row("any other (*)" if key == ANY else key, f"{fit.rides:,}", *errors)
-    console.print(table)
+    columns = [Column("vehicle model"), *(Column(head, number=True) for head in numbers)]
+    rows = [
+        (
+            "any other (*)" if key == ANY else key,
+            f"{fit.rides:,}",
+            *("" if error is None else f"{error:.3f}" for error in (fit.mae_in_sample_kwh, fit.residual_sd_kwh)),
+        )
+        for key, fit in made.fits.items()
+    ]
+    console.print(make_table(columns, made.title, rows=rows))
     _show_coefficients(made, model, console)
     for key, fit in made.fits.items():
         if fit.dropped:
-            line = f"dropped for {key}, as its column does not vary beyond rounding: {', '.join(fit.dropped)}"
-            console.print(line, markup=False, highlight=False, soft_wrap=True)
+            print_plain(
+                console,
+                f"dropped for {key}, as its column does not vary beyond rounding: {', '.join(fit.dropped)}",
+            )
     _show_curves(made.fits, console)
     parts = [
         f"factors of {format_count(len(model.cars), 'car')}" if model.cars else "",
@@ -183,22 +181,23 @@ def _show_training(training: Training, fits: Mapping[str, VehicleModelFit], cons
             console.print(f"{name}: {n} rides are too few for a fit of its own", highlight=False, soft_wrap=True)
 
 
-def _is_physical(term: Term) -> bool:
-    """Return whether a term is a physical one, whose coefficient is 1 if the physics holds."""
-    return bool(term.columns) and term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN))
-
-
 def _show_coefficients(made: FitSummary, model: LinearModel, console: Console) -> None:
     """Print the coefficients of physical terms with their 95 % intervals; the JSON files hold the others."""
     if not any(fit.covariance for fit in model.fits.values()):
         return
-    shown = [i for i, term in enumerate(model.terms) if _is_physical(term)] or list(range(len(model.terms)))[:12]
+    physical = (EFFECT_PREFIX, ACCESSORIES_COLUMN)  # terms whose coefficient is 1 if the physics holds
+    shown = [i for i, term in enumerate(model.terms) if term.columns and term.columns[0].startswith(physical)]
+    shown = shown or list(range(len(model.terms)))[:12]
     columns = [Column("coefficient"), Column("unit"), *(Column(key, number=True) for key in made.fits)]
-    table = make_table(columns, "Coefficients with 95 % intervals")
-    for i in shown:
-        cells = [_format_coefficient(fit.coefficients[i], fit.held) for fit in made.fits.values()]
-        table.add_row(model.terms[i].name, model.terms[i].unit, *cells)
-    console.print(table)
+    rows = [
+        (
+            model.terms[i].name,
+            model.terms[i].unit,
+            *(_format_coefficient(fit.coefficients[i], fit.held) for fit in made.fits.values()),
+        )
+        for i in shown
+    ]
+    console.print(make_table(columns, "Coefficients with 95 % intervals", rows=rows))
     others = len(model.terms) - len(shown)
     notes = [f"{others} other coefficients are in the model file"] if others else []
     if any(fit.held for fit in made.fits.values()):
@@ -208,13 +207,15 @@ def _show_coefficients(made: FitSummary, model: LinearModel, console: Console) -
     if model.fits.get(ANY) and model.fits[ANY].noise_kwh is not None:
         notes.append("interval of *: for a vehicle model without rides, about the mean of the others")
     if notes:
-        console.print("; ".join(notes), markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, "; ".join(notes))
     for key in (key for key, fit in made.fits.items() if not fit.converged):
-        line = f"NOT converged: the fit of {key} ended before its coefficients were the most probable ones"
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        print_plain(
+            console,
+            f"NOT converged: the fit of {key} ended before its coefficients were the most probable ones",
+        )
     _show_determined(made.fits, console)
     for line in describe_implausible(model):
-        console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"NOT plausible: {line}")
 
 
 def _show_determined(fits: Mapping[str, VehicleModelFit], console: Console) -> None:
@@ -233,7 +234,7 @@ def _show_determined(fits: Mapping[str, VehicleModelFit], console: Console) -> N
                 f"{head} spread in the others, and what would take it to half:", highlight=False, soft_wrap=True
             )
         for way, names in ways.items():
-            console.print(f"  {', '.join(names)}: {way}", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"  {', '.join(names)}: {way}")
 
 
 def _advise(one: Determination) -> str:

@@ -7,7 +7,8 @@ import typer
 
 from socast.core import models
 from socast.core.diagnose.add.records import summarise_history
-from socast.tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, show_report, write_json
+from socast.tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, write_json
+from socast.tools.terminal.report_output import show_report
 
 
 def show_history(

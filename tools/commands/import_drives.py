@@ -3,8 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from typing import Annotated, Any, Final, TypeVar
 
 import typer
 from rich.console import Console
@@ -12,21 +11,54 @@ from rich.progress import track
 
 from socast.core.errors import ImportFileError, SettingsError
 from socast.core.formatting import format_count
+from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_writer import replace_recording
-from socast.stream.recording_metadata import make_metadata
+from socast.stream.recording_metadata import INVENTED, make_metadata
 from socast.tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
 from socast.tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
 from socast.tools.importers.published import list_files
 from socast.tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
-from socast.tools.importers.table.presets import load_presets
-from socast.tools.terminal.output import HtmlFile, VehicleFiles
-from socast.tools.terminal.table_import import TABLE_KINDS, TableImport, check_recording, import_tables
+from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
+from socast.tools.importers.table.conversion import (
+    convert_tables,
+    describe_missing,
+    open_readable,
+    open_tables,
+    print_summary,
+)
+from socast.tools.importers.table.guess import (
+    describe_preset,
+    describe_unread,
+    guess_map,
+    make_guess_table,
+    write_map_text,
+)
+from socast.tools.importers.table.presets import Preset, get_preset, load_presets
+from socast.tools.importers.table.sampling import Sampling, find_holds
+from socast.tools.importers.table.table_file import KINDS, list_tables
+from socast.tools.importers.table.text_stream import SkippedFiles
+from socast.tools.importers.table.time_words import TimeSource
+from socast.tools.importers.table.weather_file import read_weather_file
+from socast.tools.terminal.output import (
+    HtmlFile,
+    VehicleFiles,
+    check_outputs,
+    make_console,
+    print_plain,
+    refuse,
+    write_file,
+)
+from socast.tools.terminal.time_zone import parse_zone
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0
 """Default time between two samples. [s]"""
 BLOCK = 4096
 """Number of messages written at a time."""
+INVENTED_ORIGIN: Final = 1_577_836_800.0
+"""Time of the first file of a sequence without an origin of its own: 2020-01-01. [Unix s]"""
+TABLE_KINDS = tuple(KINDS)
+"""Kinds of tables that are read with a map."""
 
 
 def import_drives(
@@ -136,24 +168,27 @@ def import_drives(
         for option, (value, remedy) in changed.items():
             if value:
                 raise SettingsError(f"{option} applies to public data sets only; {remedy}")
-        options = TableImport(
-            map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
+        import_tables(
+            data_set, paths, map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence, weather
         )
-        import_tables(data_set, paths, options)
         return
     chosen = get_data_set(data_set)
-    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset, sequence, weather)):
-        raise SettingsError(
-            "--map, --guess, --preset, --html, --sequence, --weather and --vehicle-model apply to csv and parquet "
-            f"only; leave them out for {data_set}"
-        )
-    if out is None:
-        raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")
+    of_tables, vehicles = (map_file, html_file, vehicle_model, preset, sequence, weather), tuple(vehicle or ())
+    refuse(
+        (
+            guess or any(option is not None for option in of_tables),
+            (
+                "--map, --guess, --preset, --html, --sequence, --weather and --vehicle-model apply to csv and parquet "
+                f"only; leave them out for {data_set}"
+            ),
+        ),
+        (out is None, "--out is missing; name the recording to write, such as drives.mcap"),
+    )
+    assert out is not None  # checked above
     check_recording(out)
-    vehicles = tuple(vehicle or ())
     if vehicles and data_set != "ved":
         raise SettingsError(f"--vehicle is {vehicles[0]}, but {data_set} holds one car; leave --vehicle out")
-    reading = ReadOptions(_find_zone(time_zone or chosen.time_zone), vehicles)
+    reading = ReadOptions(parse_zone(time_zone or chosen.time_zone), vehicles)
     drives = collect_drives(paths, chosen, reading, skip_bad)
     read = {drive.vehicle_id for drive in drives}
     absent = [number for number in vehicles if f"ved-{number}" not in read]
@@ -186,7 +221,7 @@ def collect_drives(
             if not skip_bad:
                 raise
             bad += 1
-            console.print(f"skipped: {error}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"skipped: {error}", style="yellow")
             continue
         drives += read
     if bad == len(files):
@@ -213,11 +248,10 @@ def write_recording(
         Length of the synthetic shifts into which the rides of each car are concatenated; None keeps the rides. [h]
     """
     console = Console()
-    for note in (note for drive in drives for note in drive.notes):
-        console.print(note, markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, *(note for drive in drives for note in drive.notes))
     shifts = [] if shift_hours is None else concatenate_drives(drives, shift_hours)
     if shifts:
-        console.print(_describe_shifts(shifts), markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, _describe_shifts(shifts))
         drives = [drive for shift in shifts for drive in shift.drives]
     planned = [plan for shift in shifts for plan in make_plans(shift)]
     recording = sorted([*make_messages(drives, period), *planned], key=attrgetter("receipt_ns"))
@@ -227,12 +261,10 @@ def write_recording(
             sink.put(recording[start : start + BLOCK])
     cars = len({drive.vehicle_id for drive in drives})
     hours = sum(float(drive.elapsed[-1]) for drive in drives) / 3600
-    console.print(
+    print_plain(
+        console,
         f"{out}: {format_count(len(recording), 'message')}, {format_count(len(drives), 'ride')} of "
         f"{format_count(cars, 'car')}, {hours:.1f} h",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -260,11 +292,143 @@ def _show_progress(steps: Sequence[Step], what: str) -> Iterable[Step]:
     return track(steps, what, console=console, transient=True, disable=not console.is_terminal)
 
 
-def _find_zone(name: str) -> ZoneInfo:
-    """Return the time zone of a name."""
-    try:
-        return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError) as error:
+def import_tables(
+    kind: str,
+    paths: list[Path],
+    map_file: Path | None,
+    out: Path | None,
+    html_file: Path | None,
+    guess: bool,
+    preset_name: str | None,
+    vehicle_model: str | None,
+    period: float | None,
+    skip_bad: bool,
+    sequence: float | None,
+    weather_file: Path | None,
+) -> None:
+    """Guess a map of tables, or convert tables with a map, or both."""
+    preset = None if preset_name is None else get_preset(preset_name)
+    guesses = guess or preset is not None
+    refuse(
+        (
+            map_file is None and not (guesses and out),
+            f"--map is missing; name a map, or write a first one: socast import {kind} ... --guess --map MAP.toml",
+        ),
+        (
+            out is None and not guesses,
+            "--out is missing; name the recording to write, or use --guess to write a map only",
+        ),
+        (
+            out is None and weather_file,
+            "--weather is given without --out; its observations enter a recording, so name one too",
+        ),
+        (
+            out is None and html_file,
+            "--html is given without --out; the page shows an import, so name a recording too",
+        ),
+    )
+    if out is not None:
+        check_recording(out)
+    files, console, content = list_tables(paths, kind), make_console(), b""
+    if guesses:
+        skipped = SkippedFiles(skip_bad)
+        content = _guess(kind, files, map_file, vehicle_model, preset, skipped, console, tells_rest=out is None)
+    if out is None:
+        return
+    beside = [each for each in (map_file, weather_file) if each is not None]
+    check_outputs([*files, *beside], out, html_file)
+    weather = read_weather_file(weather_file) if weather_file else None
+    columns = read_map(map_file) if map_file else parse_map(content, Path(f"the map of {files[0]}"))
+    if columns.vehicle.model is None:
+        columns = columns._replace(vehicle=columns.vehicle._replace(model=vehicle_model))
+    if period is not None:
+        holds = columns.sampling.holds if columns.sampling else find_holds()
+        columns = columns._replace(sampling=Sampling(period, holds))
+    if sequence is not None:
+        columns = columns._replace(time=place_in_sequence(columns.time, sequence))
+    settings = {
+        "kind": kind,
+        "map": map_file and map_file.name,
+        "preset": preset_name,
+        "vehicle_model": vehicle_model,
+        "period": period,
+        "sequence": sequence,
+        "weather": weather_file and weather_file.name,
+        "dates": None if sequence is None else INVENTED,
+    }
+    chosen = {name: str(value) for name, value in settings.items() if value is not None}
+    skipped = SkippedFiles(skip_bad)
+    tables = open_tables(files, kind, columns, skipped)
+    summary = convert_tables(tables, columns, out, chosen, skipped, weather)
+    print_summary(summary, console)
+    if html_file is not None:
+        from socast.tools.report.imported import build_report  # noqa: PLC0415 - figures take seconds to import
+        from socast.tools.report.page import write_report  # noqa: PLC0415 - ditto
+
+        write_report(build_report(summary), html_file)
+        print_plain(console, f"report in {html_file}")
+
+
+def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
+    """Return the clock of files that follow each other at invented dates.
+
+    Parameters
+    ----------
+    hours : float
+        Time from the last row of a file to the number 0 of the next one. [h]
+    """
+    if (
+        time.unit_s is None
+        or time.is_serial
+        or time.origin_form
+        or time.origin_column
+        or time.day_from_file_name
+        or len(time.columns) > 1
+    ):
         raise SettingsError(
-            f"--time-zone is '{name}', which is no time zone; give one such as Europe/Berlin or UTC"
-        ) from error
+            "--sequence invents dates for clocks that begin at 0 in each file, and [time] of the map gives dates; "
+            "leave --sequence out, or give the unit of the numbers only"
+        )
+    return time._replace(gap_s=3600.0 * hours, origin=max(time.origin, INVENTED_ORIGIN))
+
+
+def _guess(
+    kind: str,
+    files: list[Path],
+    map_file: Path | None,
+    vehicle_model: str | None,
+    preset: Preset | None,
+    skipped: SkippedFiles,
+    console: Console,
+    *,
+    tells_rest: bool,
+) -> bytes:
+    """Return a first map, written where a file is named, and show what was decided, and the rest if no import does."""
+    if map_file is not None and map_file.exists():
+        raise SettingsError(
+            f"{map_file} is there already and would be overwritten; name another file, or leave --guess and --preset "
+            "out to import with it"
+        )
+    check_outputs(files, map_file)
+    tables = open_readable(files, kind, FileFormat(), skipped)
+    guessed = guess_map(tables, preset, skipped)._replace(vehicle_model=vehicle_model)
+    content = write_map_text(guessed, tables[0]).encode()
+    if line := describe_preset(guessed):
+        print_plain(console, line)
+    console.print(make_guess_table(guessed))
+    lines = [describe_unread(guessed), *guessed.time.doubts]
+    if tells_rest:
+        lines += [*skipped.list_lines(len(files)), *describe_missing([each.field for each in guessed.fields])]
+    print_plain(console, *filter(None, lines), style="yellow")
+    if map_file is None:
+        console.print("the map is not kept; --map MAP.toml keeps it, so that you can correct it", markup=False)
+        return content
+    write_file(map_file, content)
+    console.print(f"map in {map_file}: check it, then import with --map {map_file}", markup=False, soft_wrap=True)
+    return content
+
+
+def check_recording(out: Path) -> None:
+    """Refuse a recording whose name does not end as recordings do."""
+    if out.suffix != RECORDING:
+        raise SettingsError(f"--out {out}: a recording ends in {RECORDING}; name it {out.with_suffix(RECORDING)}")

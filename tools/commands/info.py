@@ -13,7 +13,7 @@ from rich.markup import escape
 from socast.core.formatting import format_count
 from socast.core.wire.messages import BATCH, OF_VEHICLES, address
 from socast.stream.mcap_reader import McapSource
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.time_zone import TimeZone, find_zone, format_local, name_zone
@@ -137,17 +137,20 @@ def _show(console: Console, content: dict[str, Any], zone: tzinfo | None) -> Non
     if content["joined"] > 1:
         console.print(f"{content['joined']:,} recordings joined to one file; all are read", highlight=False)
     if content["metadata"]:
-        console.print(_describe_metadata(content["metadata"]), markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, _describe_metadata(content["metadata"]))
     if for_viewers := content["viewer_topics"].values():
         count = sum(about["messages"] for about in for_viewers)
         schemas = ", ".join(sorted({about["schema"] for about in for_viewers}))
         topics = format_count(len(for_viewers), "topic")
-        line = f"for viewers, read by no command: {format_count(count, 'message')} on {topics} ({schemas})"
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    table = make_table([Column("topic"), Column("messages", number=True), Column("schema")])
-    for topic, about in list(content["topics"].items())[:MOST_TOPICS]:
-        table.add_row(escape(topic), f"{about['messages']:,}", escape(about["schema"]) or "none")
+        print_plain(
+            console,
+            f"for viewers, read by no command: {format_count(count, 'message')} on {topics} ({schemas})",
+        )
+    rows = [
+        (escape(topic), f"{about['messages']:,}", escape(about["schema"]) or "none")
+        for topic, about in list(content["topics"].items())[:MOST_TOPICS]
+    ]
     if len(content["topics"]) > MOST_TOPICS:
-        table.add_row(f"and {len(content['topics']) - MOST_TOPICS:,} more", "", "")
-    if content["topics"]:
-        console.print(table)
+        rows.append((f"and {len(content['topics']) - MOST_TOPICS:,} more", "", ""))
+    if rows:
+        console.print(make_table([Column("topic"), Column("messages", number=True), Column("schema")], rows=rows))

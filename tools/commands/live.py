@@ -5,18 +5,16 @@ from typing import Annotated
 
 import typer
 
-from socast.core.errors import SettingsError
 from socast.core.settings import Limits
 from socast.core.wire.shard import By, parse_shard
 from socast.stream.loop import REPORT_S
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import LOOPBACK, Connection, Mode
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
-from socast.tools.terminal.limit_options import insert_limit_options
+from socast.tools.terminal.live_options import RecordingOptions, insert_limit_options, insert_recording_options
 from socast.tools.terminal.live_service import LiveOptions, serve
 from socast.tools.terminal.option_groups import insert_options
-from socast.tools.terminal.output import make_console
-from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
+from socast.tools.terminal.output import make_console, refuse
 from socast.tools.terminal.settings_file import SettingsFile
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 
@@ -137,11 +135,17 @@ def live(
     socast live --connect tcp/router.example:7447 --shard 2/4 --state shard-2.state --record shard-2
     """
     log_lines(as_json=json_log)
-    if shard is None and shard_by != "name":
-        raise SettingsError("--shard-by says how --shard divides the fleet: give --shard I/N too")
+    refuse(
+        (
+            shard is None and shard_by != "name",
+            "--shard-by says how --shard divides the fleet: give --shard I/N too",
+        ),
+        (
+            metrics_per_car and metrics is None,
+            "--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too",
+        ),
+    )
     of_fleet = None if shard is None else parse_shard(shard, shard_by)
-    if metrics_per_car and metrics is None:
-        raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     kept = connection, options.find_models(recording.folder), limits, recording, state, watch
     zone = find_zone(time_zone, make_console())
     serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet, zone))

@@ -32,17 +32,25 @@ from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_delivery import ZenohDelivery
 from socast.stream.zenoh_session import Connection, Node, parse_prefix
 from socast.tools.foxglove.topics import SCHEMAS, FoxgloveRecording
-from socast.tools.terminal.elevation_option import warn_outside
+from socast.tools.terminal.cleaning_options import warn_outside
 from socast.tools.terminal.forecast_options import (
     ForecastOptions,
     describe_forecasts,
     insert_forecast_options,
     make_pipeline,
+    run_forecasts,
 )
-from socast.tools.terminal.forecast_run import run_forecasts
 from socast.tools.terminal.live_table import add_predictions, make_ride_records, show_rides
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_records, show_models
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
+from socast.tools.terminal.output import (
+    JsonFile,
+    check_outputs,
+    make_console,
+    parse_speed,
+    print_plain,
+    refuse,
+    write_json,
+)
 from socast.tools.terminal.recordings import (
     Recordings,
     open_recordings,
@@ -152,15 +160,21 @@ def replay(
         options.elevation,
     )
     publishes = bool(connect or config)
-    if publishes and (any(local) or options.settings != Settings()):
-        raise SettingsError(
-            f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
-            "--out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and settings of cleaning"
-        )
-    if foxglove and out is None:
-        raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
-    if expect is None and (update or tolerance):
-        raise SettingsError("--update and --tolerance belong to --expect: give --expect F.mcap too")
+    refuse(
+        (
+            publishes and (any(local) or options.settings != Settings()),
+            (
+                f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out "
+                "--in-process, --out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and "
+                "settings of cleaning"
+            ),
+        ),
+        (foxglove and out is None, "--foxglove adds to what --out records: give --out F.mcap too"),
+        (
+            expect is None and (update or tolerance),
+            "--update and --tolerance belong to --expect: give --expect F.mcap too",
+        ),
+    )
     expectation = _Expectation.prepare(expect, tolerance or (), update=update) if expect else None
     layout = out.with_suffix(".layout.json") if out and foxglove else None
     zone = find_zone(time_zone, make_console(json_file))
@@ -232,7 +246,7 @@ class _Expectation:
     def show(self, comparison: TableComparison | str, console: Console) -> None:
         """Print whether forecasts are as expected, or what an update has changed."""
         if self.wanted is None or isinstance(comparison, str):
-            console.print(describe_update(self.file, comparison), markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, describe_update(self.file, comparison))
             return
         show_comparison(comparison, console)
         if not comparison.compared:
@@ -257,9 +271,9 @@ class _Report:
             show_models(console, self.errors, self.models, self.rides)
         show_outcomes(console, self.result["shifts"], zone)
         if self.advice:
-            console.print(self.advice, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+            print_plain(console, self.advice, wraps=True)
         if layout:
-            console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"layout for Foxglove in {layout}")
         warn_outside(self.quality)
         warn_of_loggers(self.quality)
 

@@ -12,7 +12,7 @@ from socast.core.errors import SettingsError, read_input
 from socast.tools.security.access import CONSUMER, GATEWAY, PORT
 from socast.tools.security.certificates import Issued, now_utc
 from socast.tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
-from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, refuse, write_json
 from socast.tools.terminal.rich_table import Column, make_table
 
 DAYS = 365.0
@@ -78,7 +78,7 @@ def initialise(
         f"or both in one:      socast live --config {made.locate(ROUTER)}{option}",
         f"Then move {folder / 'authority' / 'authority.key'} to a place that is offline.",
     )
-    console.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, "\n".join(lines))
 
 
 @app.command("add")
@@ -99,10 +99,8 @@ def add_cars(
     """
     cars = read_cars(car, car_file)
     gateways = gateway or []
-    if not cars and not gateways:
-        raise SettingsError(
-            "no car is given; name one with --car ID, a file of names with --cars FILE, or a gateway with --gateway ID"
-        )
+    words = "no car is given; name one with --car ID, a file of names with --cars FILE, or a gateway with --gateway ID"
+    refuse((not cars and not gateways, words))
     made = SecureFolder(folder, authority_key)
     made.add(cars, gateways)
     _advise(made, "added", [*cars, *(GATEWAY + each for each in gateways)])
@@ -123,15 +121,15 @@ def list_certificates(folder: Folder, json_file: JsonFile = None) -> None:
     records = make_records(found, now)
     write_json(json_file, "secure", {"certificates": records})
     columns = [Column("name"), Column("issue", number=True), Column("valid until"), Column("days left", number=True)]
-    table = make_table([*columns, Column("")], f"Certificates in {folder}")
+    rows: list[Sequence[str | Text]] = []
     for record, each in zip(records, found, strict=True):
         left = record["days_left"]
         state, style = ("expired", "bold red") if left <= 0 else ("renew it", "yellow") if record["due"] else ("", "")
-        table.add_row(record["name"], str(each.issue), f"{each.ends:%Y-%m-%d}", f"{left:.0f}", Text(state, style))
+        rows.append((record["name"], str(each.issue), f"{each.ends:%Y-%m-%d}", f"{left:.0f}", Text(state, style)))
     console = make_console(json_file)
-    console.print(table)
+    console.print(make_table([*columns, Column("")], f"Certificates in {folder}", rows=rows))
     if any(record["due"] for record in records):
-        console.print(f"renew with: socast secure renew {folder}", markup=False, highlight=False, soft_wrap=True)
+        print_plain(console, f"renew with: socast secure renew {folder}")
 
 
 @app.command("renew")
@@ -153,8 +151,8 @@ def renew_certificates(
     socast secure renew fleet-keys
     socast secure renew fleet-keys taxi-002 --revoke
     """
-    if revoke and not names:
-        raise SettingsError("--revoke needs the names whose keys were stolen: socast secure renew DIR NAME... --revoke")
+    words = "--revoke needs the names whose keys were stolen: socast secure renew DIR NAME... --revoke"
+    refuse((revoke and not names, words))
     made = SecureFolder(folder, authority_key)
     renewed = made.renew(names or [], revoke=revoke)
     if renewed:
@@ -223,7 +221,9 @@ def _advise(folder: SecureFolder, done: str, names: Sequence[str], *, moved: boo
     """Print what was done, and what is to be done next."""
     console = make_console()
     shown = ", ".join(map(shorten_name, names))
-    console.print(f"{done}: {shown}", markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, f"{done}: {shown}")
     copies = "" if moved else "copy the new configurations to their machines, and "
-    text = f"Now {copies}start the router again with the changed {folder.locate(ROUTER)}."
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    print_plain(
+        console,
+        f"Now {copies}start the router again with the changed {folder.locate(ROUTER)}.",
+    )

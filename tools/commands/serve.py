@@ -14,10 +14,11 @@ from socast.core.wire.shard import By, Shard
 from socast.stream.mcap_reader import McapSource
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import LOOPBACK, Connection
-from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import advise_fit, load_models
+from socast.tools.terminal.output import refuse
+from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource
 from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import Board
@@ -113,8 +114,8 @@ def serve(
             f"socast serve needs the package {error.name}; install it with: pip install 'socast[workbench]'"
         ) from error
     log_lines(level=logging.WARNING)
-    if (connect or config or shard_by != "name") and not live:
-        raise SettingsError("--connect, --config and --shard-by belong to --live: add it, or leave them out")
+    of_live = connect or config or shard_by != "name"
+    refuse((of_live and not live, "--connect, --config and --shard-by belong to --live: add it, or leave them out"))
     router = ", ".join(connect or [LOOPBACK]) if live else None
     source = RideSource(
         tuple(given or ()), options.settings, options.elevation, options.effect_files, options.vehicle_files
@@ -130,16 +131,16 @@ def serve(
         if live:
             all_chunks = Shard(1, 1, shard_by) if shard_by == "chunk" else None
             ends = tuple(connect or ())
-            workbench.fleet = _observe(
-                Connection(
-                    ends,
-                    mode="client",
-                    prefix=options.prefix,
-                    config=config,
-                    shard=all_chunks,
-                    largest_bytes=Limits().payload_bytes,
-                )
+            connection = Connection(
+                ends,
+                mode="client",
+                prefix=options.prefix,
+                config=config,
+                shard=all_chunks,
+                largest_bytes=Limits().payload_bytes,
             )
+            workbench.fleet = observer = Observer(connection, Board())
+            observer.start()
         elif workspace.recordings:
             workbench.fleet = _replay(workspace.recordings, source, options)
         if workbench.fleet is not None:
@@ -147,13 +148,6 @@ def serve(
         server = WorkbenchServer(workbench, host, port, make_announcer(opens_browser=not no_browser))
         workbench.jobs.start("reading the rides", workspace.open)
         server.run()
-
-
-def _observe(connection: Connection) -> FleetSource:
-    """Return the running observer of a live service."""
-    observer = Observer(connection, Board())
-    observer.start()
-    return observer
 
 
 def _replay(recordings: list[Path], source: RideSource, options: ForecastOptions) -> FleetSource:

@@ -36,6 +36,7 @@ from socast.tools.simulator.settings import (
 )
 from socast.tools.simulator.truth import Truth
 from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.output import print_plain
 
 FIRST_DAY = "2018-01-15"
 FLEET, TROUBLE = "Fleet", "Physics and faults"
@@ -189,13 +190,11 @@ def simulate(
     total = truth.summary()
     per_km = 1000 * (total["kwh_per_km"] or 0)
     console = Console()
-    console.print(
+    print_plain(
+        console,
         f"{out}: {format_count(total['messages'], 'message')}, {format_count(total['rides'], 'ride')} of "
         f"{format_count(len(truth.cars), 'car')}, "
         f"{total['distance_km']:,.0f} km, {total['energy_kwh']:,.0f} kWh, {per_km:.0f} Wh/km",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
     )
     for effect, what in total["hidden"].items():
         console.print(f"hidden: {effect}, {what['absolute_share']:.2%} of the energy", markup=False, highlight=False)

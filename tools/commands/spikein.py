@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from rich.progress import TaskProgressColumn, TimeRemainingColumn
 
 from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
@@ -15,8 +16,19 @@ from socast.tools.spikein.choice import ScoreChoice
 from socast.tools.spikein.recording import write_spiked
 from socast.tools.spikein.records import SpikeTruth
 from socast.tools.spikein.spike import Spike
-from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, show_report, write_json
-from socast.tools.terminal.recordings import Recordings, open_recordings, show_shares, warn_of_losses
+from socast.tools.terminal.output import (
+    HtmlFile,
+    JsonFile,
+    check_outputs,
+    make_console,
+    print_plain,
+    refuse,
+    split_names,
+    write_json,
+)
+from socast.tools.terminal.progress import show_bar
+from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.report_output import show_report
 
 LARGEST: Final = 0.5
 """Largest size of an effect. [1]"""
@@ -71,35 +83,31 @@ def spikein(
     socast spikein drives.mcap --effect standby --size 3% --vehicles car-1 --since 2023-05-05 -o spiked.mcap
     socast spikein drives.mcap --score --effect headwind,standby,cabin_heating --size 2%,4% --html score.html
     """
-    if score == (out is not None):
-        raise SettingsError("a recording is written with -o F.mcap, and none with --score: give one of the two")
-    if not score and effect is None:
-        raise SettingsError(f"--effect is missing; choose from {', '.join(sorted(EFFECTS))}")
+    refuse(
+        (
+            score == (out is not None),
+            "a recording is written with -o F.mcap, and none with --score: give one of the two",
+        ),
+        (not score and effect is None, f"--effect is missing; choose from {', '.join(sorted(EFFECTS))}"),
+        (not score and html_file is not None, "--html shows a score: give --score, or leave it out"),
+    )
     begin = parse_start(since).timestamp() if since else None
-    cars = _split(vehicles or "")
+    cars = split_names(vehicles)
     if score:
-        chosen = _split(effect or ",".join(sorted(EFFECTS)))
-        choice = ScoreChoice(chosen, tuple(map(parse_size, _split(size))), cars, begin, (seed,))
+        chosen = split_names(effect or ",".join(sorted(EFFECTS)))
+        choice = ScoreChoice(chosen, tuple(map(parse_size, split_names(size))), cars, begin, (seed,))
         _score(recordings, choice, html_file, json_file)
         return
     assert out is not None  # checked above
     assert effect is not None  # checked above
-    if html_file is not None:
-        raise SettingsError("--html shows a score: give --score, or leave it out")
     sources = open_recordings(recordings)
     truth_file = out.with_name(f"{out.name}.truth.json")
     check_outputs(recordings, out, truth_file, json_file)
     truth = write_spiked(sources, Spike(effect, parse_size(size), cars, begin, seed), out)
     write_json(json_file, "spikein", truth)
     console = make_console(json_file)
-    for line in describe(truth, out, truth_file):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    print_plain(console, *describe(truth, out, truth_file))
     warn_of_losses(sources)
-
-
-def _split(text: str) -> tuple[str, ...]:
-    """Return the parts of a list separated by commas."""
-    return tuple(filter(None, (part.strip() for part in text.split(","))))
 
 
 def _score(recordings: list[Path], choice: ScoreChoice, html_file: Path | None, json_file: Path | None) -> None:
@@ -110,7 +118,7 @@ def _score(recordings: list[Path], choice: ScoreChoice, html_file: Path | None, 
         get_power(name)
     open_recordings(recordings)
     check_outputs(recordings, html_file, json_file)
-    with show_shares("scoring") as report:
+    with show_bar("scoring", TaskProgressColumn(), TimeRemainingColumn()) as report:
         result = score_spikes(recordings, choice, report)
     write_json(json_file, "spikein-score", result)
     show_report("spikein", result, html_file, json_file)

@@ -17,9 +17,8 @@ from socast.stream.elevation_files import open_elevation
 from socast.stream.mcap_reader import McapSource
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.run import REPORT, tabulate_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options, warn_outside
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.elevation_option import ElevationFiles, warn_outside
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -28,6 +27,7 @@ from socast.tools.terminal.output import (
     VehicleFiles,
     check_outputs,
     make_console,
+    print_plain,
     select_model_files,
     write_json,
 )
@@ -39,8 +39,8 @@ from socast.tools.terminal.recordings import (
 )
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.ride_source import RIDES, WINDOWS, write_tables
+from socast.tools.terminal.table_files import QUALITY, describe_source
 from socast.tools.terminal.table_files import read as read_tables
-from socast.tools.terminal.table_source import QUALITY, describe_source
 
 COUNTED_BY_NAME = ("received", "undecodable", "unfit", "unpredicted", "unpredictable")
 """Counters that are written in the order of their names; that of their first count depends on the workers."""
@@ -138,23 +138,24 @@ def _folder(path: Path) -> Path:
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:
     """Print the counts of repaired, rejected and missing data, and of written rows."""
-    columns = [Column("cause"), Column("count", number=True), Column("of", number=True)]
-    table = make_table(columns, "What was repaired, rejected or missing")
-    samples = quality["received"].get("telemetry", 0)
-    for cause, count in quality["samples"].items():
-        if count:
-            table.add_row(cause.replace("_", " "), f"{count:,}", format_count(samples, "sample"))
-    for cause, count in quality["undecodable"].items():
-        table.add_row(cause.replace("_", " "), f"{count:,}", "payloads")
-    for reason, count in quality["unfit"].items():
-        table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", format_count(rides, "ride"))
+    samples = format_count(quality["received"].get("telemetry", 0), "sample")
     messages = format_count(quality["received"].get("vehicle", 0), "vehicle message")
-    for reason, count in quality["unpredicted"].items():
-        table.add_row(f"not predicted: {reason.replace('_', ' ')}", f"{count:,}", format_count(rides, "ride"))
-    for reason, count in quality["unpredictable"].items():
-        table.add_row(reason.replace("_", " "), f"{count:,}", messages)
-    if table.rows:
-        console.print(table)
+    of_rides = format_count(rides, "ride")
+    counted = (
+        ({cause: count for cause, count in quality["samples"].items() if count}, "", samples),
+        (quality["undecodable"], "", "payloads"),
+        (quality["unfit"], "ride ", of_rides),
+        (quality["unpredicted"], "not predicted: ", of_rides),
+        (quality["unpredictable"], "", messages),
+    )
+    rows = [
+        (f"{what}{cause.replace('_', ' ')}", f"{count:,}", of)
+        for counts, what, of in counted
+        for cause, count in counts.items()
+    ]
+    if rows:
+        columns = [Column("cause"), Column("count", number=True), Column("of", number=True)]
+        console.print(make_table(columns, "What was repaired, rejected or missing", rows=rows))
     unfit = sum(quality["unfit"].values())
-    rows = f"{format_count(rides, 'ride')} ({unfit:,} unfit for training) and {format_count(windows, 'window')}"
-    console.print(f"{rows} in {folder}", markup=False, highlight=False, soft_wrap=True)
+    made = f"{of_rides} ({unfit:,} unfit for training) and {format_count(windows, 'window')}"
+    print_plain(console, f"{made} in {folder}")

@@ -2,18 +2,25 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
-from socast.core.errors import CatalogueError, SettingsError
-from socast.core.files import write_whole
 from socast.core.formatting import format_count
 from socast.core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
 from socast.core.wire.messages import IDENTITY
-from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.output import (
+    JsonFile,
+    VehicleFiles,
+    check_outputs,
+    make_console,
+    print_plain,
+    refuse,
+    refuse_existing,
+    write_file,
+    write_json,
+)
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.vehicle_files import load_vehicle_file, make_data_sheet
 
@@ -59,22 +66,16 @@ def new_file(
     --------
     socast vehicles new my-van.toml --mass-kg 2100 --capacity-kwh 75 --drag-area-m2 1.1
     """
-    if file.exists():
-        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    refuse_existing(file)
     name = key if key is not None else file.stem
-    if not IDENTITY.fullmatch(name) or "." in name:
-        raise SettingsError(f"--key is '{name}', must be up to 64 letters, digits, _ and -; name the car with --key")
+    is_wrong = not IDENTITY.fullmatch(name) or "." in name
+    refuse((is_wrong, f"--key is '{name}', must be up to 64 letters, digits, _ and -; name the car with --key"))
     text = make_data_sheet(name, mass_kg, capacity_kwh, drag_area_m2, rated_kwh_per_100km)
     vehicles = read_data_sheets(text, str(file))
     check_outputs((), file)
-    try:
-        write_whole(file, text.encode())
-    except OSError as error:
-        raise CatalogueError(f"{file} cannot be written: {error.strerror}; name another file") from error
+    write_file(file, text.encode())
     _show(vehicles, None)
-    make_console().print(
-        f"data sheet in {file}: give it with --vehicles {file}", markup=False, highlight=False, soft_wrap=True
-    )
+    print_plain(make_console(), f"data sheet in {file}: give it with --vehicles {file}")
 
 
 @app.command("check")
@@ -96,19 +97,10 @@ def check_file(file: DataSheets, json_file: JsonFile = None) -> None:
 
 def _show(vehicles: Mapping[str, VehicleModel], json_file: Path | None) -> None:
     """Print vehicle models as a table, and write them as JSON."""
-    write_json(json_file, "vehicles", {"vehicles": [_make_record(vehicle) for vehicle in vehicles.values()]})
-    make_console(json_file).print(_tabulate(vehicles))
-
-
-def _make_record(vehicle: VehicleModel) -> dict[str, Any]:
-    """Return a vehicle model for JSON."""
-    return {**vars(vehicle), "sources": dict(vehicle.sources)}
-
-
-def _tabulate(vehicles: Mapping[str, VehicleModel]) -> Table:
-    """Return the table of vehicle models."""
+    records = [{**vars(vehicle), "sources": dict(vehicle.sources)} for vehicle in vehicles.values()]
+    write_json(json_file, "vehicles", {"vehicles": records})
     heads = ("mass,\nkg", "drag\narea, m²", "rolling\nresistance", "battery,\nkWh", "rated,\nkWh/km")
-    table = make_table([Column("model"), *(Column(head, number=True) for head in heads)])
+    rows = []
     for key, vehicle in sorted(vehicles.items()):
         assumed = set(list_assumed(vehicle))
         figures = [
@@ -118,8 +110,9 @@ def _tabulate(vehicles: Mapping[str, VehicleModel]) -> Table:
             _format(vehicle.nominal_capacity_kwh, "nominal_capacity_kwh" in assumed),
             _format(vehicle.rated_kwh_per_km, "rated_kwh_per_km" in assumed),
         ]
-        table.add_row(Text(key), *map(Text, figures))
-    return table
+        rows.append([Text(key), *map(Text, figures)])
+    columns = [Column("model"), *(Column(head, number=True) for head in heads)]
+    make_console(json_file).print(make_table(columns, rows=rows))
 
 
 def _format(value: float | None, assumed: bool) -> str:

@@ -6,15 +6,8 @@ import typer
 
 from socast.core import models
 from socast.core.condition.energy_split import split_energy
-from socast.tools.terminal.output import (
-    HtmlFile,
-    JsonFile,
-    ModelName,
-    check_outputs,
-    select_model_files,
-    show_report,
-    write_json,
-)
+from socast.tools.terminal.output import HtmlFile, JsonFile, ModelName, write_json
+from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 
@@ -42,8 +35,7 @@ def show_waterfall(
     socast waterfall recordings/shift.mcap --model extended_physical --by car --price 0.12
     socast waterfall tables --model fitted.json --by month --json - | jq .groups
     """
-    source.check()
-    check_outputs([*select_model_files([model]), *source.list_read_files()], json_file, html_file)
+    source.check(json_file, html_file, models=[model])
     chosen = models.load(model)
     with source.open_tables(chosen.effects) as opened:
         result = split_energy(opened.read_rides(chosen.effects), chosen, by=by, price=price)

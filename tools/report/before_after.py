@@ -1,7 +1,7 @@
 """Show whether the consumption of cars changed with a campaign: in the terminal, and as a page."""
 
 from datetime import UTC, datetime
-from pathlib import Path
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -12,15 +12,18 @@ from rich.text import Text
 from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
 from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus, word_date
-from socast.tools.report.cells import Cell, ReportTable, Row, format_count, format_percent
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.figure_style import add_reference_line, apply_layout, escape_label, get_style
-from socast.tools.report.page import escape_text, render_document, save
-from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
+from socast.tools.report.document import Illustration, Report, Section, print_report
+from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
+from socast.tools.report.table import (
+    FORMATS,
+    ReportTable,
+    format_count,
+    format_digits,
+    format_percent,
+    tabulate,
+    tabulate_records,
+)
 
-TITLE: Final = "Before and after"
 SIDES: Final = (("before", "off", 1), ("after", "on", 4))
 """Name of the days before and after, the same of days off and on, and the place of their style."""
 PLACEBOS: Final = (
@@ -36,20 +39,17 @@ BINS: Final = 31
 
 def show(result: BeforeAfter, console: Console) -> None:
     """Print the change of each car, then the answer in words."""
-    for section in _build_sections(result):
-        print_section(section, console)
+    report = build_report(result)
+    print_report(report, console)
     console.print()
-    for line in describe_campaign(result):
+    for line in report.lead:
         console.print(Text(line))
 
 
-def write(result: BeforeAfter, path: Path) -> None:
-    """Write the answer as a self-contained page."""
-    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe_campaign(result))
-    foot = "<p>Made by <code>socast before-after</code>.</p>"
-    drawn = {"change": _illustrate_days(result), "placebo": _illustrate_placebos(result)}
-    page = render_document("before-after", TITLE, lead, _build_sections(result), lambda key: drawn.get(key, []), foot)
-    save(page, path)
+def build_report(result: BeforeAfter) -> Report:
+    """Return the report of a campaign."""
+    sections, lead = _build_sections(result), describe_campaign(result)
+    return Report("before-after", "before-after", "Before and after", sections, lead, (), result, FIGURES)
 
 
 def describe_campaign(result: BeforeAfter) -> list[str]:
@@ -85,7 +85,7 @@ def _describe_placebos(result: BeforeAfter) -> str:
 def _describe_detection(result: BeforeAfter) -> str:
     """Return how long changes take to be seen, in one line."""
     parts = [
-        f"{_format_size(each.size)} "
+        f"{100.0 * each.size:g} % "
         + ("more than a year" if each.days is None else f"about {count_things(each.days, 'day')}")
         for each in result.detection
     ]
@@ -113,15 +113,11 @@ def _word_change(change: float) -> str:
     return f"{format_percent(abs(change))} {'less' if change < 0.0 else 'more'}"
 
 
-def _format_size(size: float) -> str:
-    return f"{100.0 * size:g} %"
-
-
 def _build_sections(result: BeforeAfter) -> list[Section]:
     """Return the sections of the report."""
-    limits = {INTERVAL: lambda value: format_minus(f"{100.0 * value[0]:+.1f} to {100.0 * value[1]:+.1f} %")}
+    formats = {**FORMATS, INTERVAL: lambda value: format_minus(f"{100.0 * value[0]:+.1f} to {100.0 * value[1]:+.1f} %")}
     every = [*result.cars, result.change] if result.change and len(result.cars) > 1 else result.cars
-    changes = tabulate_records("Change of consumption", every, CarChange, total="all", formats={**FORMATS, **limits})
+    changes = tabulate_records("Change of consumption", every, CarChange, totals=("all",), formats=formats)
     about = (
         f"Measured over predicted energy (model {result.model}) of each day, less that of other cars of the same "
         "vehicle model on the same dates."
@@ -134,16 +130,17 @@ def _build_sections(result: BeforeAfter) -> list[Section]:
 
 def _tabulate_placebos(result: BeforeAfter) -> ReportTable:
     """Return what the placebo campaigns say of the standard error."""
-    placebo = result.placebo
-    cells = (
-        format_count(len(placebo.campaigns)),
-        format_count(round(placebo.independent)),
-        format_digits(placebo.spread),
-        format_digits(placebo.scale),
-        "" if result.change is None else format_count(placebo.as_large),
+    placebo, as_large = result.placebo, "" if result.change is None else format_count(result.placebo.as_large)
+    texts = {
+        "number": format_count(len(placebo.campaigns)),
+        "independent": format_count(round(placebo.independent)),
+        "spread / model's": format_digits(placebo.spread),
+        "factor of interval": format_digits(placebo.scale),
+        "show as much": as_large,
+    }
+    return tabulate(
+        "Placebo campaigns", "", [("placebo campaigns", texts)], [(head, itemgetter(head)) for head in texts]
     )
-    heads = ("number", "independent", "spread / model's", "factor of interval", "show as much")
-    return ReportTable("Placebo campaigns", "", heads, (Row("placebo campaigns", tuple(map(Cell, cells))),))
 
 
 def _illustrate_days(result: BeforeAfter) -> list[Illustration]:
@@ -196,10 +193,8 @@ def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:
                 line={"color": look.colour, "width": 2.5, "dash": "solid" if place else "dash"},
             ),
         ]
-    figure = apply_layout(go.Figure(traces), 420)
-    figure.layout.xaxis.title.text = "date [UTC]"
-    figure.layout.yaxis.title.text = "consumption beside siblings [%]"
-    figure.layout.yaxis.range = _find_range(one)
+    y = {"title_text": "consumption beside siblings [%]", "range": _find_range(one)}
+    figure = make_figure(traces, 420, x={"title_text": "date [UTC]"}, y=y)
     if result.at is not None:
         milliseconds = 1000.0 * datetime.fromisoformat(result.at).replace(tzinfo=UTC).timestamp()
         add_reference_line(figure, escape_label(result.what or result.at), milliseconds)
@@ -244,9 +239,11 @@ def draw_placebos(result: BeforeAfter, change: CarChange) -> go.Figure:
         y=counts.tolist(),
         marker={"color": look.colour},
     )
-    figure = apply_layout(go.Figure([bars]), 320)
-    figure.layout.bargap = 0.05
-    figure.layout.xaxis.title.text = "estimated change [%]"
-    figure.layout.yaxis.title.text = "placebo campaigns [1]"
+    x, y = {"title_text": "estimated change [%]"}, {"title_text": "placebo campaigns [1]"}
+    figure = make_figure([bars], 320, x, y, bargap=0.05)
     add_reference_line(figure, "estimate", 100.0 * change.change)
     return figure
+
+
+FIGURES: Final = {"change": _illustrate_days, "placebo": _illustrate_placebos}
+"""Key of a section -> function that draws its figures."""

@@ -1,6 +1,5 @@
 """Show how cars are doing: in the terminal in words and as a table, and as a page with a figure of each car."""
 
-from pathlib import Path
 from typing import Final
 
 import plotly.graph_objects as go
@@ -11,12 +10,9 @@ from socast.core.condition.records import CarCondition, ConditionStep, FleetCond
 from socast.core.formatting import format_minus, word_date
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.document import Illustration, Report, Section, print_section
 from socast.tools.report.figure_style import REFERENCE_LINE, get_style, make_figure
-from socast.tools.report.page import escape_text, render_document, save
+from socast.tools.report.table import UNKNOWN, ReportTable, format_count, tabulate
 
 TITLE: Final = "Condition of the cars"
 MOST_DESCRIBED: Final = 8
@@ -40,40 +36,36 @@ BAND_NOTE: Final = "Band: 95 % interval of the level."
 
 def show(result: FleetCondition, console: Console) -> None:
     """Print the table of cars, and then the worst cars in words."""
-    print_section(Section("cars", TITLE, _describe_data(result), [tabulate_cars(result)]), console)
-    for line in describe_fleet(result):
+    report = build_report(result)
+    print_section(report.sections[0]._replace(title=TITLE), console)
+    for line in report.lead:
         console.print(Text(line))
 
 
-def write(result: FleetCondition, path: Path) -> None:
-    """Write the condition as a self-contained page."""
-    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe_fleet(result))
+def build_report(result: FleetCondition) -> Report:
+    """Return the report of the cars."""
     drawn, cars = min(MOST_DRAWN, len(result.cars)), len(result.cars)
     title = "Each car" if drawn == cars else f"The first {drawn} of {cars} cars"
     sections = [
         Section("cars", "All cars", _describe_data(result), [tabulate_cars(result)]),
         Section("each", title, BAND_NOTE, []),
     ]
-    foot = "<p>Made by <code>socast condition</code>.</p>"
-
-    def illustrate(key: str) -> list[Illustration]:
-        return [_illustrate(i, car) for i, car in enumerate(result.cars[:MOST_DRAWN])] if key == "each" else []
-
-    save(render_document("condition", TITLE, lead, sections, illustrate, foot), path)
+    figures = {"each": _illustrate}
+    return Report("condition", "condition", TITLE, sections, describe_fleet(result), (), result, figures)
 
 
 def _describe_data(result: FleetCondition) -> str:
     """Return what the condition is of, in a few sentences."""
-    rides = ", ".join(f"{format_count(n)} {why}" for why, n in result.left_out.items())
-    days = format_count(result.car_days_left_out)
-    left = f" Left out: {days} car-days with too little energy, {100.0 * result.energy_left_out:.1f} % of the energy."
+    rides = ", ".join(f"{n:,} {why}" for why, n in result.left_out.items())
+    days, share = result.car_days_left_out, 100.0 * result.energy_left_out
+    left = f" Left out: {days:,} car-days with too little energy, {share:.1f} % of the energy." if days else ""
     cold = ""
     if result.cold_loss_pct is not None and result.cold_loss_pct >= LEAST_COLD_LOSS:
         cold = f" Each kelvin below 10 °C lowers the usable capacity by {result.cold_loss_pct:.2f} %."
     return (
-        f"{format_count(result.rides)} rides on {format_count(result.car_days)} car-days from {result.first_date} to "
+        f"{result.rides:,} rides on {result.car_days:,} car-days from {result.first_date} to "
         f"{result.last_date}{f' ({rides} left out)' if rides else ''}; model {result.model}."
-        f"{left if result.car_days_left_out else ''} On a usual day, the consumption of a car differs from its level "
+        f"{left} On a usual day, the consumption of a car differs from its level "
         f"by {result.day_sd_pct:.1f} % (standard deviation).{cold}"
     )
 
@@ -139,25 +131,21 @@ def _word_step(step: ConditionStep) -> str:
 
 def tabulate_cars(result: FleetCondition) -> ReportTable:
     """Return a row for each car."""
-    heads = ("days", "consumption, %", "rate, %/year", "changed", "usable, kWh", "battery, %/year")
-    rows = tuple(
-        Row(
-            car.vehicle_id,
-            tuple(
-                Cell(text)
-                for text in (
-                    format_count(car.consumption.days if car.consumption else None),
-                    _format_level(car.consumption),
-                    _format_rate(car.consumption),
-                    _list_changes(car),
-                    _format_usable(car),
-                    _format_rate(car.capacity),
-                )
-            ),
-        )
-        for car in result.cars
+    rows = [(car.vehicle_id, car) for car in result.cars]
+    return tabulate(
+        "Cars, the worst first",
+        "car",
+        rows,
+        [
+            ("days", lambda car: format_count(car.consumption.days if car.consumption else None)),
+            ("consumption, %", _format_level),
+            ("rate, %/year", lambda car: _format_rate(car.consumption)),
+            ("changed", _list_changes),
+            ("usable, kWh", _format_usable),
+            ("battery, %/year", lambda car: _format_rate(car.capacity)),
+        ],
+        (NOTE, STEP_NOTE),
     )
-    return ReportTable("Cars, the worst first", "car", heads, rows, (NOTE, STEP_NOTE))
 
 
 def _format_usable(car: CarCondition) -> str:
@@ -168,9 +156,9 @@ def _format_usable(car: CarCondition) -> str:
     return f"{car.usable_kwh:.1f} ({low:.1f} to {high:.1f}) of {car.nominal_kwh:.1f}"
 
 
-def _format_level(trend: Trend | None) -> str:
-    """Return the level with its interval."""
-    return UNKNOWN if trend is None else _format_interval(trend.level_pct, trend.ci95_pct)
+def _format_level(car: CarCondition) -> str:
+    """Return the level of the consumption with its interval."""
+    return _format_interval(car.consumption.level_pct, car.consumption.ci95_pct) if car.consumption else UNKNOWN
 
 
 def _format_rate(trend: Trend | None) -> str:
@@ -195,10 +183,18 @@ def _list_changes(car: CarCondition) -> str:
     return format_minus(", ".join(changes)) or UNKNOWN
 
 
-def _illustrate(place: int, car: CarCondition) -> Illustration:
-    """Return the figure of a car."""
-    caption = describe_car(car) or f"{car.vehicle_id}: as expected, within the interval."
-    return Illustration(f"car-{place}", car.vehicle_id, caption, draw_car(car), small=True)
+def _illustrate(result: FleetCondition) -> list[Illustration]:
+    """Return a figure of each of the first cars."""
+    return [
+        Illustration(
+            f"car-{place}",
+            car.vehicle_id,
+            describe_car(car) or f"{car.vehicle_id}: as expected, within the interval.",
+            draw_car(car),
+            small=True,
+        )
+        for place, car in enumerate(result.cars[:MOST_DRAWN])
+    ]
 
 
 def draw_car(car: CarCondition) -> go.Figure:
@@ -234,8 +230,6 @@ def draw_car(car: CarCondition) -> go.Figure:
                 x=trend.dates, y=middle, mode="lines", line={"color": look.colour, "dash": look.dash}, name=name
             ),
         ]
-    made = make_figure(traces, 280)
+    made = make_figure(traces, 280, x={"title_text": "date [UTC]"}, y={"title_text": "beside expected [%]"})
     made.add_hline(y=0.0, line=REFERENCE_LINE)
-    made.layout.xaxis.title = "date [UTC]"
-    made.layout.yaxis.title = "beside expected [%]"
     return made

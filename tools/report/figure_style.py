@@ -4,7 +4,9 @@ No information is in colour alone, so figures can be read in black and white. Co
 and dark backgrounds; text and grid take the colours of the page.
 """
 
+from collections.abc import Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import plotly.graph_objects as go
@@ -100,6 +102,11 @@ def escape_label(text: str) -> str:
     return escape(text, quote=False)
 
 
+def to_percent(share: float | None) -> float | None:
+    """Return a share in percent, None where it is unknown."""
+    return None if share is None else 100.0 * share
+
+
 def format_recipe_label(result: RecipeEvaluation, recipe: str, width: int = 30) -> str:
     """Return the title of a model, in lines of about `width` characters."""
     lines = [""]
@@ -111,15 +118,24 @@ def format_recipe_label(result: RecipeEvaluation, recipe: str, width: int = 30) 
     return "<br>".join(escape_label(line) for line in lines)
 
 
-def make_figure(traces: list[Any], height: int = 420) -> go.Figure:
-    """Return a figure of traces in the common layout.
+def make_figure(
+    traces: list[Any],
+    height: int = 420,
+    x: Mapping[str, Any] = MappingProxyType({}),
+    y: Mapping[str, Any] = MappingProxyType({}),
+    **layout: Any,
+) -> go.Figure:
+    """Return a figure of traces in the common layout, with properties of its axes and of the layout.
 
     Parameters
     ----------
     height : int
         Height of the plot and its axes; the page adds that of the legend. [px]
     """
-    return apply_layout(go.Figure(traces), height)
+    made = apply_layout(go.Figure(traces), height)
+    made.update_xaxes(**x)
+    made.update_yaxes(**y)
+    return made.update_layout(**layout)
 
 
 def make_stacked_figure(titles: tuple[str, ...], height: int) -> go.Figure:
@@ -146,11 +162,30 @@ def apply_layout(made: go.Figure, height: int) -> go.Figure:
     return made
 
 
+def find_limit(values: Sequence[float], ends: Sequence[float], widest: float) -> float:
+    """Return the end of a common scale that shows each value, and the ends of intervals unless far beyond."""
+    most = max(map(abs, values), default=0.0) or 1.0
+    return 1.05 * max([most, *(end for end in ends if end <= widest * most)])
+
+
+def make_error_bars(
+    up: Sequence[float | None] | None,
+    down: Sequence[float | None] | None = None,
+    *,
+    thickness: float = 1,
+    width: int = 3,
+) -> dict[str, Any] | None:
+    """Return error bars of half widths, or of the parts above and below; None where none is known."""
+    if not up or not any(up):
+        return None
+    sides = {"array": list(up)} | ({} if down is None else {"arrayminus": list(down), "symmetric": False})
+    return {"type": "data", **sides, "thickness": thickness, "width": width}
+
+
 def draw_curve(
     name: str, look: Style, x: list[Any], y: list[Any], ci95: list[float | None] | None = None, **more: Any
 ) -> Any:
     """Return a line with markers, with error bars where half widths of intervals are given."""
-    bars = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
     return go.Scatter(
         name=name,
         x=x,
@@ -158,19 +193,37 @@ def draw_curve(
         mode="lines+markers",
         line={"color": look.colour, "dash": look.dash, "width": 2},
         marker={"symbol": look.symbol, "size": 8, "color": look.colour},
-        error_y=bars,
+        error_y=make_error_bars(ci95),
         **more,
     )
 
 
-def draw_bars(name: str, look: Style, y: list[Any], x: list[Any], **more: Any) -> go.Bar:
-    """Return horizontal bars with the pattern of a style."""
+def draw_interval_rows(
+    name: str, look: Style, rows: Sequence[str], values: Sequence[float], ends: Sequence[tuple[float, float] | None]
+) -> go.Scatter:
+    """Return a marker in each row with an interval that need not be symmetric."""
+    up = [None if end is None else end[1] - value for value, end in zip(values, ends, strict=True)]
+    down = [None if end is None else value - end[0] for value, end in zip(values, ends, strict=True)]
+    return go.Scatter(
+        name=name,
+        x=list(values),
+        y=[escape_label(row) for row in rows],
+        mode="markers",
+        marker={"symbol": look.symbol, "size": 10, "color": look.colour},
+        error_x=make_error_bars(up, down, thickness=1.5, width=4),
+    )
+
+
+def draw_bars(
+    name: str, look: Style, y: list[Any], x: list[Any], *, orientation: str | None = "h", **more: Any
+) -> go.Bar:
+    """Return bars with the pattern of a style, horizontal ones by default."""
     marker = {
         "color": look.colour,
         "pattern": {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5},
         "line": {"color": look.colour, "width": 1},
     }
-    return go.Bar(name=name, x=x, y=y, orientation="h", marker=marker, **more)
+    return go.Bar(name=name, x=x, y=y, orientation=orientation, marker=marker, **more)
 
 
 def draw_dots(
@@ -183,10 +236,15 @@ def draw_dots(
     outline: bool = False,
 ) -> go.Scatter:
     """Return markers in rows, filled or as outlines."""
-    spread = {"type": "data", "array": ci95, "thickness": 1, "width": 3} if ci95 and any(ci95) else None
     symbol = f"{look.symbol}-open" if outline else look.symbol
     marker = {"symbol": symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}}
-    return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=spread)
+    return go.Scatter(name=name, x=x, y=y, mode="markers", marker=marker, error_x=make_error_bars(ci95))
+
+
+def draw_equality(ends: Sequence[float]) -> go.Scatter:
+    """Return the line on which both coordinates are equal."""
+    line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
+    return go.Scatter(name="equal", x=list(ends), y=list(ends), mode="lines", line=line, hoverinfo="skip")
 
 
 def add_reference_line(made: go.Figure, text: str, x: float) -> None:

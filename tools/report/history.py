@@ -1,7 +1,6 @@
 """Show the trial of one effect and the history of a model, in the terminal and as an HTML page."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -23,16 +22,21 @@ from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.fit.records import read_fit_step
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_estimate
 from socast.tools.report.comparison.failures import illustrate_change
-from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
+from socast.tools.report.diagnosis.finding_words import describe_coefficient
 from socast.tools.report.diagnosis.sentences import format_energy
+from socast.tools.report.document import Drawing, Illustration, Report, Section, print_section
 from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
-from socast.tools.report.evaluation.illustrations import Drawing, Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.page import render_document, save
-from socast.tools.report.record_table import FORMATS, tabulate_records
+from socast.tools.report.table import (
+    FORMATS,
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_estimate,
+    keep_filled,
+    tabulate_records,
+)
 
 HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -72,21 +76,20 @@ def print_trial(trial: EffectTrial, console: Console) -> None:
     console.print(Text(_describe_outcome(trial), style="bold"))
 
 
-def write_trial(trial: EffectTrial, surveys: Sequence[ResidualSurvey], path: Path) -> None:
-    """Write the trial of an effect as an HTML page that loads no other file."""
-    lines = _describe_coefficients(trial, trial.words_by_vehicle_model)
-    text = " ".join(f"{line}." for line in (*lines, *trial.warnings))
-    changes = illustrate_change(*surveys) if surveys else []
-    sections = [
-        Section("fall", "Error above the noise", _describe_outcome(trial), []),
-        *([Section("change", "Where it fails, before and after", "", [])] if changes else []),
-        Section("trial", "Before and after", text, [tabulate_errors(trial)]),
-        Section("conditions", "By condition", "", _tabulate_conditions(trial), closed=True),
-    ]
-    drawn: dict[str, Sequence[Illustration | Drawing]] = {"fall": _draw_steps([trial]), "change": changes}
-    made_by = "<p>Made by <code>socast add</code>.</p>"
-    shown = [section for section in sections if section.tables or drawn.get(section.key) or section.key == "fall"]
-    save(render_document("add", _title_trial(trial), "", shown, lambda key: drawn.get(key, []), made_by), path)
+def build_trial_report(trial: EffectTrial, surveys: Sequence[ResidualSurvey]) -> Report:
+    """Return the report of the trial of an effect, and of where the models before and after it fail."""
+    lines = (*_describe_coefficients(trial, trial.words_by_vehicle_model), *trial.warnings)
+    changes, conditions = illustrate_change(*surveys) if surveys else [], _tabulate_conditions(trial)
+    text = " ".join(f"{line}." for line in lines)
+    sections = [Section("fall", "Error above the noise", _describe_outcome(trial), [])]
+    if changes:
+        sections.append(Section("change", "Where it fails, before and after", "", []))
+    sections.append(Section("trial", "Before and after", text, [tabulate_errors(trial)]))
+    if conditions:
+        sections.append(Section("conditions", "By condition", "", conditions, closed=True))
+    drawn: dict[str, Callable[[Any], Sequence[Illustration | Drawing]]]
+    drawn = {"fall": lambda of: _draw_steps([of]), "change": lambda _: changes}
+    return Report("add", "add", _title_trial(trial), sections, result=trial, figures=drawn)
 
 
 def _title_trial(trial: EffectAttempt) -> str:
@@ -117,13 +120,18 @@ def tabulate_errors(trial: EffectAttempt) -> ReportTable:
 
 def _tabulate_conditions(trial: EffectTrial) -> list[ReportTable]:
     """Return the errors before and after by condition, on held-out days."""
-    tables = [
-        tabulate_records(
-            f"By {what}, held-out days", {each.where: each for each in bins}, ErrorFall, corner=what, label=format_minus
+    return keep_filled(
+        *(
+            tabulate_records(
+                f"By {what}, held-out days",
+                {each.where: each for each in bins},
+                ErrorFall,
+                corner=what,
+                label=format_minus,
+            )
+            for what, bins in trial.conditions.items()
         )
-        for what, bins in trial.conditions.items()
-    ]
-    return [table for table in tables if table.rows]
+    )
 
 
 def _compare_given(trial: EffectAttempt) -> str:
@@ -150,16 +158,13 @@ def show(model: LinearModel, console: Console) -> None:
     console.print(Text(describe_progress(model), style="bold"))
 
 
-def write(model: LinearModel, path: Path) -> None:
-    """Write the history of a model as an HTML page that loads no other file."""
+def build_report(model: LinearModel) -> Report:
+    """Return the report of the history of a model."""
     shown = [Section("history", "Step by step", describe_progress(model), [tabulate_history(model)])]
     for i, attempt in enumerate(list_attempts(model.history), start=1):
         text = " ".join(f"{line}." for line in (*_describe_coefficients(attempt), _describe_outcome(attempt)[:-1]))
         shown.append(Section(f"step-{i}", f"{i}. {_title_trial(attempt)}", text, [tabulate_errors(attempt)]))
-    drawn = draw_errors(model)
-    made_by = "<p>Made by <code>socast history</code>.</p>"
-    page = render_document("history", _title(model), "", shown, lambda key: drawn if key == "history" else [], made_by)
-    save(page, path)
+    return Report("history", "history", _title(model), shown, result=model, figures={"history": draw_errors})
 
 
 def _title(model: LinearModel) -> str:
@@ -173,7 +178,7 @@ def describe_progress(model: LinearModel) -> str:
         return "No effect has been tried. Find a missing effect with socast diagnose, and add it with socast add."
     names = ", ".join(attempt.name for attempt in tried if attempt.action == ADDED)
     numbers = {word: sum(attempt.action == word for attempt in tried) for word in ATTEMPTS[1:]}
-    beside = "".join(f", {format_count(number)} {word}" for word, number in numbers.items() if number)
+    beside = "".join(f", {number:,} {word}" for word, number in numbers.items() if number)
     first, last, floor = (
         format_energy(error) for error in (whole.mae_first_kwh, whole.mae_last_kwh, whole.noise_floor_kwh)
     )

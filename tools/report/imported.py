@@ -1,7 +1,6 @@
 """Draw on one page whether distance and energy of imported cars agree with each other."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -10,13 +9,10 @@ from socast.core.vehicles import load_catalogue
 from socast.tools.importers.table.agreement import estimate_capacity
 from socast.tools.importers.table.agreement_sums import CarSums
 from socast.tools.importers.table.conversion import ImportSummary, list_lines
-from socast.tools.report.cells import Cell, ReportTable, Row
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.document import Illustration, Report, Section
 from socast.tools.report.figure_style import REFERENCE_LINE, apply_layout, draw_dots, escape_label, get_style
-from socast.tools.report.page import escape_text, render_document, save
+from socast.tools.report.table import UNKNOWN, ReportTable, tabulate
 
-TITLE = "Imported data"
 CAPTION = (
     "Each point is a car. Left: distance by odometer or positions over that by speed; on the dashed line they are "
     "equal. Right: energy of 100 % of the displayed charge, by power, over the energy per km."
@@ -25,14 +21,17 @@ FEWEST_KM = 1.0
 """Shortest distance of a car that is drawn. [km]"""
 
 
-def write(summary: ImportSummary, path: Path) -> None:
-    """Write the page of an import."""
-    section = Section("agreement", "Do the values agree?", "", [_tabulate(summary)])
+def build_report(summary: ImportSummary) -> Report:
+    """Return the report of an import."""
+    sections = [Section("agreement", "Do the values agree?", "", [_tabulate(summary)])]
+    lead, drawn = [list_lines(summary)[0][0]], {"agreement": _illustrate}
+    return Report("import", "import", "Imported data", sections, lead, (), summary, drawn)
+
+
+def _illustrate(summary: ImportSummary) -> list[Illustration]:
+    """Return the figure of all cars."""
     figure = draw_agreement(summary.cars)
-    shown = [Illustration("agreement-of-cars", "Distance and energy of each car", CAPTION, figure)]
-    lead = f"<p>{escape_text(list_lines(summary)[0][0])}</p>"
-    foot = "<p>Made by <code>socast import</code>.</p>"
-    save(render_document("import", TITLE, lead, [section], lambda _: shown, foot), path)
+    return [Illustration("agreement-of-cars", "Distance and energy of each car", CAPTION, figure)]
 
 
 def draw_agreement(cars: Sequence[CarSums]) -> go.Figure:
@@ -56,10 +55,12 @@ def draw_agreement(cars: Sequence[CarSums]) -> go.Figure:
     for key in sorted({car.model for car in known if car.model in load_catalogue()}, key=str):
         nominal = load_catalogue()[str(key)].nominal_capacity_kwh
         figure.add_hline(nominal, line=REFERENCE_LINE, annotation_text=escape_label(str(key)), row=1, col=2)
-    figure.update_xaxes(title_text="distance by speed, km", row=1, col=1)
-    figure.update_yaxes(title_text="distance, km", row=1, col=1)
-    figure.update_xaxes(title_text="energy per km, kWh", row=1, col=2)
-    figure.update_yaxes(title_text="energy per 100 %, kWh", row=1, col=2)
+    figure.update_layout(
+        xaxis_title_text="distance by speed, km",
+        yaxis_title_text="distance, km",
+        xaxis2_title_text="energy per km, kWh",
+        yaxis2_title_text="energy per 100 %, kWh",
+    )
     return apply_layout(figure, 420)
 
 
@@ -75,9 +76,17 @@ def _draw_points(
 def _tabulate(summary: ImportSummary) -> ReportTable:
     """Return the table of the comparisons."""
     verdicts = {True: "agrees", False: "does not agree", None: "not checked"}
-    rows = tuple(
-        Row(check.name, (Cell(verdicts[check.passed]), Cell(check.found), Cell(check.limit), Cell(check.remedy or "–")))
-        for check in summary.checks
-    )
+    rows = [(check.name, check) for check in summary.checks]
     lines = tuple(line for line, _ in list_lines(summary)[1:] if not line.startswith(tuple(verdicts.values())))
-    return ReportTable("Do the values agree?", "comparison", ("verdict", "found", "limit", "remedy"), rows, lines)
+    return tabulate(
+        "Do the values agree?",
+        "comparison",
+        rows,
+        [
+            ("verdict", lambda check: verdicts[check.passed]),
+            ("found", lambda check: check.found),
+            ("limit", lambda check: check.limit),
+            ("remedy", lambda check: check.remedy or UNKNOWN),
+        ],
+        lines,
+    )

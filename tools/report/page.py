@@ -1,8 +1,8 @@
-"""Render the report of an evaluation as one HTML file: tables and figures, with nothing loaded from elsewhere."""
+"""Render a report as one HTML file: tables and figures, with nothing loaded from elsewhere."""
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from itertools import groupby
@@ -11,17 +11,12 @@ from typing import Any, Final
 
 from plotly.offline import get_plotlyjs
 
-from socast.core.errors import SettingsError
-from socast.core.evaluate.paper import published
-from socast.core.evaluate.paper.records import EvaluatedTable, RecipeEvaluation
-from socast.core.files import write_whole
-from socast.tools.report.cells import Cell, ReportTable, Row
-from socast.tools.report.evaluation.illustrations import Drawing, Illustration, build_illustrations
-from socast.tools.report.evaluation.sections import Section, build_sections
-from socast.tools.terminal.output import REPORT_VERSIONS
+from socast.tools.report.document import Drawing, Illustration, Report, Section
+from socast.tools.report.table import Cell, ReportTable, Row
+from socast.tools.terminal.output import REPORT_VERSIONS, write_file
 
-TITLE: Final = "Evaluation of consumption models"
-
+COMMAND: Final = "socast "
+"""Begin of a line that is a command."""
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "font-src data:"
@@ -34,57 +29,35 @@ UNIT_SPACE: Final = re.compile(
 NO_BREAK: Final = "\u00a0"
 
 
-def write(result: RecipeEvaluation, path: Path) -> None:
-    """Write the result of an evaluation as a self-contained page."""
-    save(render_page(result), path)
+def write_report(report: Report, path: Path) -> None:
+    """Write a report as a self-contained page."""
+    write_file(path, render_report(report).encode())
 
 
-def save(text: str, path: Path) -> None:
-    """Write a page."""
-    try:
-        write_whole(path, text.encode())
-    except OSError as error:
-        raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
-
-
-def render_page(result: RecipeEvaluation) -> str:
-    """Return the page of an evaluation."""
-    about, sections = result.about, build_sections(result)
-    return render_document(
-        "evaluate", TITLE, _lead(about), sections, lambda key: build_illustrations(result, key), _foot(about)
-    )
-
-
-def render_document(
-    report: str,
-    title: str,
-    lead: str,
-    shown: Sequence[Section],
-    drawn: Callable[[str], Sequence[Illustration | Drawing]],
-    foot: str,
-) -> str:
-    """Return a page of sections."""
-    links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in shown)
-    body = "".join(_section(section, drawn(section.key)) for section in shown)
+def render_report(report: Report) -> str:
+    """Return the page of a report."""
+    links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in report.sections)
+    body = "".join(_section(section, report.draw(section.key)) for section in report.sections)
+    notes = "".join(f"<li>{escape_text(note)}</li>" for note in report.notes)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<meta name="socast-format" content="{report} {REPORT_VERSIONS[report]}">
+<meta name="socast-format" content="{report.name} {REPORT_VERSIONS[report.name]}">
 <meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">
-<title>{escape(title)}</title>
+<title>{escape(report.title)}</title>
 <style>{_shipped("page.css")}</style>
 </head>
 <body>
 <a class="skip" href="#main">Skip to the figures</a>
 <nav aria-label="Sections"><ol>{links}</ol></nav>
 <main id="main">
-<header><h1>{escape(title)}</h1>{lead}</header>
+<header><h1>{escape(report.title)}</h1>{"".join(map(_paragraph, report.lead))}</header>
 <noscript><p>Figures are drawn by JavaScript; without it, their data are below each of them.</p></noscript>
 {body}
-<footer>{foot}</footer>
+<footer>{f"<ul>{notes}</ul>" if notes else ""}<p>Made by <code>socast {report.command}</code>.</p></footer>
 </main>
 <script>{get_plotlyjs()}</script>
 <script>{_shipped("page.js")}</script>
@@ -121,20 +94,11 @@ def _shipped(name: str) -> str:
     return resources.files("socast.tools.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _lead(about: EvaluatedTable) -> str:
-    """Return how many rides were evaluated, and what the figures of the paper are."""
-    rides = "" if about.fit is None else f"{about.fit:,} rides. "
-    text = (
-        f"{rides}Figures in parentheses and outlines are from “{published.load_paper().title}”. They are "
-        "from other data (the rides of one company), for orientation only."
-    )
-    return f"<p>{escape_text(text)}</p>"
-
-
-def _foot(about: EvaluatedTable) -> str:
-    """Return the notes of the evaluation and the name of the command."""
-    items = "".join(f"<li>{escape_text(note)}</li>" for note in about.notes)
-    return (f"<ul>{items}</ul>" if items else "") + "<p>Made by <code>socast evaluate</code>.</p>"
+def _paragraph(line: str) -> str:
+    """Return a sentence as a paragraph, and a command as code that can be copied."""
+    if line.startswith(COMMAND):
+        return f'<p class="command"><code>{escape(line)}</code></p>'
+    return f"<p>{escape_text(line)}</p>"
 
 
 def _section(section: Section, shown: Sequence[Illustration | Drawing]) -> str:

@@ -2,24 +2,28 @@
 
 from collections.abc import Sequence
 from math import log
-from pathlib import Path
 from typing import Final
 
 import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from socast.tools.report.cells import Cell, ReportTable, Row, format_chance, format_count, format_percent
+from socast.core.formatting import format_count as count_things
 from socast.tools.report.diagnosis.tables import format_coefficient
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.figure_style import apply_layout, escape_label, get_style
-from socast.tools.report.page import escape_text, render_document, save
-from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
+from socast.tools.report.document import Illustration, Report, Section, print_report
+from socast.tools.report.figure_style import escape_label, get_style, make_figure
+from socast.tools.report.table import (
+    FORMATS,
+    UNKNOWN,
+    ReportTable,
+    format_chance,
+    format_count,
+    format_percent,
+    tabulate,
+    tabulate_records,
+)
 from socast.tools.spikein.records import VISIBLE, FoundShare, PlaceboName, SpikeScore, SpikeScores
 
-TITLE: Final = "Known effects put into a recording"
 FOUND: Final = "found"
 """Key of the section that is printed last."""
 OUTCOMES: Final = (
@@ -34,20 +38,17 @@ OUTCOMES: Final = (
 
 def show(result: SpikeScores, console: Console) -> None:
     """Print the scores, with the principal sentence last."""
-    for section in sorted(build_sections(result), key=lambda section: section.key == FOUND):
-        print_section(section, console)
-    for line in describe(result):
+    report = build_report(result)
+    print_report(report, console, last=FOUND)
+    for line in report.lead:
         console.print(Text(line))
 
 
-def write(result: SpikeScores, path: Path) -> None:
-    """Write the scores as a self-contained page."""
-    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe(result))
-    foot = "<p>Made by <code>socast spikein --score</code>.</p>"
-    page = render_document(
-        "spikein-score", TITLE, lead, build_sections(result), lambda key: _illustrate(result, key), foot
-    )
-    save(page, path)
+def build_report(result: SpikeScores) -> Report:
+    """Return the report of the scores."""
+    title, sections = "Known effects put into a recording", build_sections(result)
+    drawn = {FOUND: _illustrate}
+    return Report("spikein-score", "spikein --score", title, sections, describe(result), (), result, drawn)
 
 
 def describe(result: SpikeScores) -> list[str]:
@@ -73,15 +74,13 @@ def describe(result: SpikeScores) -> list[str]:
 def build_sections(result: SpikeScores) -> list[Section]:
     """Return the sections of the scores."""
     about = (
-        f"{format_count(result.rides)} rides of {format_count(result.cars)} {'car' if result.cars == 1 else 'cars'} on "
-        f"{format_count(result.days)} vehicle-days; the diagnosed model is {result.recipe}, fitted to each recording."
+        f"{result.rides:,} rides of {count_things(result.cars, 'car')} on "
+        f"{result.days:,} vehicle-days; the diagnosed model is {result.recipe}, fitted to each recording."
     )
     placebo = tabulate_records(
         "The recording as it is", result.placebo, PlaceboName, formats={**FORMATS, "coefficient": format_coefficient}
     )
-    refused = ReportTable(
-        "Not put in", "effect", ("why",), tuple(Row(name, (Cell(why),)) for name, why in result.refused.items())
-    )
+    refused = tabulate("Not put in", "effect", list(result.refused.items()), [("why", str)])
     explained = (
         "The data can show an effect if the likelihood ratio of the true energies, in the recording with the effect "
         "and in that without, exceeds 20, and if an effect of the library with a coefficient in its plausible range "
@@ -97,64 +96,51 @@ def build_sections(result: SpikeScores) -> list[Section]:
 
 def _tabulate_found(found: Sequence[FoundShare]) -> ReportTable:
     """Return how many effects of each size are found."""
-    rows = tuple(
-        Row(
-            format_percent(each.size),
-            tuple(
-                Cell(text)
-                for text in (
-                    format_count(each.tried),
-                    format_count(each.visible),
-                    format_count(each.named),
-                    format_count(each.first),
-                    _format_share(each),
-                )
-            ),
-        )
-        for each in found
-    )
-    return ReportTable(
-        "Effects by size", "size", ("tried", "visible", "named", "named first", "named, 95 % interval"), rows
+    return tabulate(
+        "Effects by size",
+        "size",
+        [(format_percent(each.size), each) for each in found],
+        [
+            ("tried", lambda each: format_count(each.tried)),
+            ("visible", lambda each: format_count(each.visible)),
+            ("named", lambda each: format_count(each.named)),
+            ("named first", lambda each: format_count(each.first)),
+            ("named, 95 % interval", _format_share),
+        ],
     )
 
 
 def _format_share(each: FoundShare) -> str:
     """Return the share of visible effects that are named, with its interval."""
     if each.share is None or each.share_ci95 is None:
-        return format_percent(None)
+        return UNKNOWN
     low, high = each.share_ci95
     return f"{format_percent(each.share, 0)} ({format_percent(low, 0)} to {format_percent(high, 0)})"
 
 
 def _tabulate_scores(scores: Sequence[SpikeScore]) -> ReportTable:
     """Return a row for each effect and size."""
-    heads = ("size", "outcome", "rank", "probability", "size found / put in", "of the way", "date", "also named")
-    rows = tuple(
-        Row(
-            each.effect,
-            tuple(
-                Cell(text)
-                for text in (
-                    format_percent(each.size),
-                    judge(each),
-                    format_count(each.new_rank),
-                    format_chance(each.probability),
-                    _format_ratio(each),
-                    format_percent(each.way, 0),
-                    each.found_since or "",
-                    ", ".join(each.others),
-                )
-            ),
-        )
-        for each in scores
+    return tabulate(
+        "Effects put in",
+        "effect",
+        [(each.effect, each) for each in scores],
+        [
+            ("size", lambda each: format_percent(each.size)),
+            ("outcome", judge),
+            ("rank", lambda each: format_count(each.new_rank)),
+            ("probability", lambda each: format_chance(each.probability)),
+            ("size found / put in", _format_ratio),
+            ("of the way", lambda each: format_percent(each.way, 0)),
+            ("date", lambda each: each.found_since or ""),
+            ("also named", lambda each: ", ".join(each.others)),
+        ],
     )
-    return ReportTable("Effects put in", "effect", heads, rows)
 
 
 def _format_ratio(each: SpikeScore) -> str:
     """Return how much of an effect is found, and whether its interval holds the truth."""
     if each.ratio is None:
-        return format_digits(None)
+        return UNKNOWN
     return f"{each.ratio:.2f}{'' if each.covered else ' (interval misses 1)'}"
 
 
@@ -167,9 +153,9 @@ def judge(score: SpikeScore) -> str:
     return OUTCOMES[2][0] if score.plausible and (score.form_evidence or 0.0) > log(VISIBLE) else OUTCOMES[3][0]
 
 
-def _illustrate(result: SpikeScores, key: str) -> list[Illustration]:
-    """Return the figure of a section."""
-    if key != FOUND or not result.scores:
+def _illustrate(result: SpikeScores) -> list[Illustration]:
+    """Return the outcomes as a figure."""
+    if not result.scores:
         return []
     caption = (
         "Each effect at each size that was put in: whether it is named first, named, not named, or not visible; "
@@ -194,10 +180,11 @@ def draw_outcomes(scores: Sequence[SpikeScore]) -> go.Figure:
                     marker={"symbol": symbol, "size": 12, "color": get_style(place + 2).colour},
                 )
             )
-    figure = apply_layout(go.Figure(traces), 120 + 24 * len(names))
-    figure.layout.showlegend = True  # plotly hides the legend of a single outcome
-    figure.layout.xaxis.tickvals = sorted({100.0 * score.size for score in scores})
-    figure.layout.xaxis.title.text = "Energy of the effect over that of the cars [%]"
-    figure.layout.yaxis.categoryorder = "array"
-    figure.layout.yaxis.categoryarray = [escape_label(name) for name in names]
-    return figure
+    sizes, title = sorted({100.0 * score.size for score in scores}), "Energy of the effect over that of the cars [%]"
+    return make_figure(
+        traces,
+        120 + 24 * len(names),
+        x={"tickvals": sizes, "title_text": title},
+        y={"categoryorder": "array", "categoryarray": [escape_label(name) for name in names]},
+        showlegend=True,  # plotly hides the legend of a single outcome
+    )

@@ -1,7 +1,7 @@
 """Show where the measured energy of rides went: in the terminal, and as one page with a waterfall of its parts."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Final, NamedTuple
 
 import plotly.graph_objects as go
@@ -19,22 +19,19 @@ from socast.core.condition.energy_split import (
 )
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.formatting import format_count, format_minus
-from socast.tools.report.cells import (
+from socast.tools.report.document import Illustration, Report, Section, print_report
+from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_error_bars, make_figure
+from socast.tools.report.table import (
+    FORMATS,
     UNKNOWN,
-    Cell,
     Figure,
     ReportTable,
-    Row,
     format_percent,
     get_half_width,
     get_value,
+    tabulate,
+    tabulate_records,
 )
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
-from socast.tools.report.page import escape_text, render_document, save
-from socast.tools.report.record_table import FORMATS, tabulate_records
 
 TITLE: Final = "Where the energy goes"
 PARTS: Final = "parts"
@@ -100,29 +97,21 @@ FORMATS_OF_AMOUNTS: Final = {
 
 def show(result: EnergySplit, console: Console) -> None:
     """Print the split, with the table of the parts, the picture and the principal sentences last."""
-    for section in sorted(build_sections(result), key=lambda section: section.key == PARTS):
-        print_section(section, console)
+    report = build_report(result)
+    print_report(report._replace(notes=()), console, last=PARTS)
     console.print()
     for line in draw_picture(list_steps(result.fleet), console.width):
         console.print(line, highlight=False)
-    for note in result.notes:
+    for note in report.notes:
         console.print(Text(note, style="yellow"))
-    for sentence in describe(result):
+    for sentence in report.lead:
         console.print(Text(sentence, style="bold"), highlight=False)
 
 
-def write(result: EnergySplit, path: Path) -> None:
-    """Write the split as a self-contained page."""
-    lead = "".join(f"<p>{escape_text(line)}</p>" for line in describe(result))
-    notes = "".join(f"<li>{escape_text(note)}</li>" for note in result.notes)
-    foot = f"<ul>{notes}</ul><p>Made by <code>socast waterfall</code>.</p>"
-    drawn = _illustrate(result)
-    save(
-        render_document(
-            "waterfall", TITLE, lead, build_sections(result), lambda key: drawn if key == PARTS else [], foot
-        ),
-        path,
-    )
+def build_report(result: EnergySplit) -> Report:
+    """Return the report of a split."""
+    lead, drawn = describe(result), {PARTS: _illustrate}
+    return Report("waterfall", "waterfall", TITLE, build_sections(result), lead, result.notes, result, drawn)
 
 
 def describe(result: EnergySplit) -> list[str]:
@@ -153,7 +142,7 @@ def build_sections(result: EnergySplit) -> list[Section]:
     prices = PRICE_FIELDS if result.price is not None else ()
     fleet = result.fleet
     parts = tabulate_records(
-        "All rides", [*fleet.shares, fleet.measured], EnergyShare, fields=(*FIELDS, *prices), total=MEASURED,
+        "All rides", [*fleet.shares, fleet.measured], EnergyShare, fields=(*FIELDS, *prices), totals=(MEASURED,),
         notes=(NOTE,), formats=FORMATS_OF_AMOUNTS,
     )  # fmt: skip
     savings = tabulate_records(
@@ -188,22 +177,26 @@ def _describe_rides(result: EnergySplit) -> str:
 
 def _tabulate_groups(result: EnergySplit) -> ReportTable:
     """Return the consumption of each group with its largest parts; smaller ones are summed."""
-    columns = [step.what for step in list_steps(result.fleet, MOST_COLUMNS)][:-1]
-    rows = [_make_group_row(group, columns) for group in result.groups]
-    if rows:
-        rows.append(_make_group_row(result.fleet, columns)._replace(name="all", total=True))
-    heads = ("rides", "km", MEASURED, *columns)
-    return ReportTable("Consumption and its parts [kWh/100 km]", _name_grouping(result.by), heads, tuple(rows))
+    parts = [step.what for step in list_steps(result.fleet, MOST_COLUMNS)][:-1]
 
+    def show_part(what: str, group: GroupEnergy) -> str:
+        known = {share.what: share.per_100km_kwh.value or 0.0 for share in group.shares}
+        return format_amount(known.get(what, sum(value for name, value in known.items() if name not in parts)), 2)
 
-def _make_group_row(group: GroupEnergy, columns: Sequence[str]) -> Row:
-    """Return the row of a group, with its parts in the given order and the others summed."""
-    known = {share.what: share.per_100km_kwh.value or 0.0 for share in group.shares}
-    rest = sum(value for what, value in known.items() if what not in columns)
-    parts = [known.get(what, rest) for what in columns]
-    texts = [format_amount(group.measured.per_100km_kwh.value, 2), *(format_amount(part, 2) for part in parts)]
-    return Row(
-        group.name, tuple(Cell(text) for text in (f"{group.rides:,}", format_amount(group.distance_km, 0), *texts))
+    rows = [(group.name, group) for group in result.groups]
+    rows += [("all", result.fleet)] if rows else []
+    title = "Consumption and its parts [kWh/100 km]"
+    return tabulate(
+        title,
+        _name_grouping(result.by),
+        rows,
+        [
+            ("rides", lambda group: f"{group.rides:,}"),
+            ("km", lambda group: format_amount(group.distance_km, 0)),
+            (MEASURED, lambda group: format_amount(group.measured.per_100km_kwh.value, 2)),
+            *((what, partial(show_part, what)) for what in parts),
+        ],
+        totals=("all",),
     )
 
 
@@ -272,17 +265,15 @@ def draw_waterfall(group: GroupEnergy) -> go.Figure:
                 [label for label, _ in chosen],
                 [step.change for _, step in chosen],
                 base=[step.start for _, step in chosen],
-                error_x={"type": "data", "array": halves, "thickness": 1, "width": 3} if any(halves) else None,
+                error_x=make_error_bars(halves),
                 customdata=[format_minus(f"{step.change:.2f}") for _, step in chosen],
                 hovertemplate="%{y}: %{customdata} kWh/100 km<extra></extra>",
             )
         )
-    made = make_figure(traces, 110 + STEP_HEIGHT * len(steps))
-    made.layout.barmode = "overlay"
-    made.layout.xaxis.title.text = "Energy per distance [kWh/100 km]"
-    made.layout.xaxis.zeroline = True
-    made.layout.yaxis.title.text = "Part"
-    made.layout.yaxis.type = "category"
-    made.layout.yaxis.categoryorder = "array"
-    made.layout.yaxis.categoryarray = labels[::-1]
-    return made
+    return make_figure(
+        traces,
+        110 + STEP_HEIGHT * len(steps),
+        x={"title_text": "Energy per distance [kWh/100 km]", "zeroline": True},
+        y={"title_text": "Part", "type": "category", "categoryorder": "array", "categoryarray": labels[::-1]},
+        barmode="overlay",
+    )

@@ -1,14 +1,10 @@
 """The options of the commands that can divide their work among many workers."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from socast.core.errors import SettingsError
 from socast.tools.cluster.dask_runner import ClusterPlace, parse_place
@@ -45,25 +41,3 @@ def make_place(
 
 insert_cluster_options = insert_options("place", make_place, "Cluster")
 """Decorator that gives a command the options of a cluster in place of its argument `place`."""
-
-
-@contextmanager
-def show_stages(words: str = "tables") -> Iterator[Callable[[str, int, int], None]]:
-    """Show on standard error how many tasks of each stage have ended.
-
-    Yields
-    ------
-    callable
-        Function that takes a stage, the number of its tasks that have ended, and the number of all.
-    """
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("tasks"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as progress:
-        shown = {}
-
-        def report(stage: str, done: int, number: int) -> None:
-            if stage not in shown:
-                shown[stage] = progress.add_task(f"{words}: {stage}", total=number)
-            progress.update(shown[stage], completed=done)
-
-        yield report

@@ -85,13 +85,13 @@ def show_cars(console: Console, cars: Sequence[dict[str, Any]], models: Sequence
     columns = [
         Column("car", fixed=True),
         *(Column(head, number=True, fixed=True) for head in ("rides", "km", "measured\nkWh")),
-        *(Column(f"{_break_name(label)}\nerror %", number=True, fixed=True) for label in models),
+        *(Column("_\n".join(shorten(label).split("_")) + "\nerror %", number=True, fixed=True) for label in models),
         *(Column(head, number=True, fixed=True) for head in ("end %,\nforecast\n1 h before", "end %,\nreported")),
     ]
-    table = make_table(columns, "The shift, car by car")
+    rows = []
     for car in cars:
         soc, end = car["soc_pct"]["forecast"], car["soc_pct"]["end"]
-        table.add_row(
+        row = (
             car["vehicle_id"],
             f"{car['rides']}",
             f"{car['km']:.0f}",
@@ -100,12 +100,8 @@ def show_cars(console: Console, cars: Sequence[dict[str, Any]], models: Sequence
             f"{soc['mean']:.0f} {soc['p05']:.0f}–{soc['p95']:.0f}" if soc else "–",
             f"{end:.0f}" if end is not None else "–",
         )
-    console.print(table)
-
-
-def _break_name(label: str) -> str:
-    """Return the name of a model with a line break after each underscore, for a narrow column."""
-    return shorten(label).replace("_", "_\n")
+        rows.append(row)
+    console.print(make_table(columns, "The shift, car by car", rows=rows))
 
 
 def shorten(label: str) -> str:

@@ -1,7 +1,7 @@
-"""What the logger of each car sends wrong, how often and at what cost: as a record, and for the terminal."""
+"""What the logger of each car sends wrong, how often and at what cost, mean powers among it: a record, and tables."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -9,10 +9,14 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from socast.core.batch import Ints
+from socast.core.batch import Floats, Ints, Lanes
 from socast.core.cleaning.faults import FAULTS, LoggerFault
 from socast.core.cleaning.quality import CAUSES, Quality
+from socast.core.columns import KMH
 from socast.core.formatting import format_count
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.tools.importers.table.row_messages import ONE_SIDED, measure_span
 from socast.tools.terminal.rich_table import Column, make_table
 
 MOST_SHOWN: Final = 12
@@ -159,11 +163,10 @@ def show_cars(cars: Sequence[CarFaults], console: Console) -> None:
     _show_limits([car for car in cars if car.is_clean], console)
     shown = {name for car in faulty[:MOST_SHOWN] for name in car.logger_faults if car.is_frequent(name)}
     if shown:
-        table = make_table([Column("fault"), Column("remedy, for the maker of the logger")], "Remedies")
-        for name in CAUSES:
-            if name in shown:
-                table.add_row(_FAULT_OF[name].title, _FAULT_OF[name].remedy)
-        console.print(table)
+        rows = [(_FAULT_OF[name].title, _FAULT_OF[name].remedy) for name in CAUSES if name in shown]
+        console.print(
+            make_table([Column("fault"), Column("remedy, for the maker of the logger")], "Remedies", rows=rows)
+        )
 
 
 def _show_limits(cars: Sequence[CarFaults], console: Console) -> None:
@@ -182,14 +185,12 @@ def _show_limits(cars: Sequence[CarFaults], console: Console) -> None:
 def _show_car(car: CarFaults, console: Console) -> None:
     """Print the table of a car, and what it loses."""
     columns = [Column("fault"), Column("samples", number=True), Column("%", number=True), Column("costs")]
-    table = make_table(columns, f"{car.vehicle_id}: {format_count(car.samples, 'sample')}")
+    title = f"{car.vehicle_id}: {format_count(car.samples, 'sample')}"
+    rows = []
     for name in filter(car.is_frequent, car.faults):
         count, fault = car.faults[name], _FAULT_OF[name]
-        table.add_row(fault.title, f"{count:,}", f"{100.0 * count / car.samples:.1f}", fault.cost)
-    if table.rows:
-        console.print(table)
-    else:
-        _print(console, f"{car.vehicle_id}: {format_count(car.samples, 'sample')}")
+        rows.append((fault.title, f"{count:,}", f"{100.0 * count / car.samples:.1f}", fault.cost))
+    console.print(make_table(columns, title, rows=rows) if rows else title, markup=False, highlight=False)
     if rare := [_FAULT_OF[name].title for name in car.faults if not car.is_frequent(name)]:
         _print(console, f"In at most {100.0 * RARE:g} % of the samples: {'; '.join(rare)}.")
     for fact in car.facts:
@@ -230,3 +231,42 @@ def _spell(reason: str) -> str:
 def _print(console: Console, line: str) -> None:
     """Print a line as it is."""
     console.print(line, markup=False, highlight=False)
+
+
+MOST_SAMPLES: Final = 5000
+"""Samples of a car by which its power is judged."""
+
+
+def find_mean_powers(blocks: Iterable[Sequence[Message]], announced: Collection[str]) -> dict[str, str]:
+    """Return a sentence for each car that has a mean power and does not announce what its power covers.
+
+    Parameters
+    ----------
+    announced : collection of str
+        Cars that announce it, whatever it is.
+    """
+    lanes = Lanes()
+    decoder = Decoder(lanes)
+    parts: dict[int, list[Floats]] = {}
+    counts: dict[int, int] = {}
+    for messages in blocks:
+        batch, _ = decoder.decode(messages)
+        rows = np.column_stack([batch.stamp, batch.speed, batch.voltage * batch.current])
+        for lane in np.unique(batch.lane).tolist():
+            if counts.get(lane, 0) < MOST_SAMPLES:
+                of_car = rows[batch.lane == lane]
+                parts.setdefault(lane, []).append(of_car)
+                counts[lane] = counts.get(lane, 0) + len(of_car)
+    found = {}
+    for lane, some in parts.items():
+        name = lanes.names[lane]
+        times, speed, power = np.concatenate(some)[:MOST_SAMPLES].T
+        evidence = None if name in announced else measure_span(times, speed / KMH, power)
+        if evidence is not None and evidence.span is not None:
+            share = evidence.share if evidence.span == "before" else 1.0 - evidence.share
+            found[name] = (
+                f"voltage times current is probably the mean over the time {evidence.span} each sample, where "
+                f"{share:.0%} of its kinetic power is (limit: {ONE_SIDED[0]:.0%}): announce power_covers "
+                f"'{evidence.span}', else the noise of the measured energy is stated too large"
+            )
+    return found

@@ -1,29 +1,46 @@
-"""The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
+"""The options of commands that forecast, and what they do: learn from earlier days, make a pipeline, and run it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, tzinfo
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from socast.core.models import LinearModel
+from socast.core.cleaning.elevation_map import ElevationMap
+from socast.core.errors import SettingsError
+from socast.core.models import LinearModel, Model
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Limits, Settings
 from socast.core.wire.shard import Shard
 from socast.stream.elevation_files import open_elevation
+from socast.stream.loop import Tally, collect_garbage_rarely, feed, run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recording_metadata import list_changed_settings, make_metadata
+from socast.stream.source import Sink, Source, merge_sources
 from socast.stream.zenoh_session import parse_prefix
-from socast.tools.terminal.cleaning_options import insert_cleaning_options
-from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
+from socast.tools.terminal.live_table import LiveTable
 from socast.tools.terminal.model_comparison import ModelNames, find_models
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import EffectFiles, VehicleFiles, select_model_files
-from socast.tools.terminal.warm_up import WarmUp, learn_from_recordings
+from socast.tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
 
 Prefix = Annotated[
     str, typer.Option(metavar="P", help="Key chunks before `fleet`, `weather` and `models`, such as montreal.")
+]
+
+
+WarmUp = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--warm-up",
+        metavar="REC",
+        help="Learn from this recording of earlier days first, so that forecasts have intervals from the beginning; "
+        "may be repeated.",
+    ),
 ]
 
 
@@ -132,3 +149,70 @@ def describe_forecasts(
         models=[f"{model.name}/{model.version}" for model in models],
         settings=list_changed_settings(options.settings, Settings()) | dict(also or {}),
     )
+
+
+@collect_garbage_rarely()
+def learn_from_recordings(
+    model: Model,
+    shadows: Sequence[Model],
+    settings: Settings,
+    recordings: Sequence[Path] | None,
+    replayed: Sequence[McapSource] = (),
+    elevation_map: ElevationMap | None = None,
+) -> Pipeline | None:
+    """Return a pipeline that has processed recordings, for `Pipeline.learn_from`."""
+    if not recordings:
+        return None
+    sources = open_recordings(recordings)
+    _refuse_later(sources, replayed)
+    pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False, elevation_map=elevation_map)
+    with show_progress(sources, words="learning") as step:
+        for _ in feed(merge_sources(sources), pipeline, close=False):
+            pipeline.forecasts(newest_only=True)  # discards all forecasts
+            pipeline.model_errors(newest_only=True)
+            step()
+    warn_of_losses(sources)
+    return pipeline
+
+
+def _refuse_later(earlier: Sequence[McapSource], replayed: Sequence[McapSource]) -> None:
+    """Refuse recordings that end after the replayed ones have begun."""
+    begin = min((source.span_ns[0] for source in replayed if source.span_ns), default=inf)
+    for source in earlier:
+        if source.span_ns and source.span_ns[1] > begin:
+            raise SettingsError(
+                f"--warm-up {source.path} ends at {_format_time(source.span_ns[1])}, after the replay begins at "
+                f"{_format_time(begin)}: forecasts would know their outcomes; give recordings that end before"
+            )
+
+
+def _format_time(time_ns: float) -> str:
+    """Return the text of a time in UTC."""
+    return f"{datetime.fromtimestamp(time_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def run_forecasts(
+    pipeline: Pipeline,
+    sources: Sequence[McapSource],
+    source: Source | None = None,
+    rate: float = inf,
+    sinks: Sequence[Sink] = (),
+    also: Callable[[], None] = lambda: None,
+    zone: tzinfo | None = UTC,
+) -> Tally:
+    """Pass recordings through the loop, with a progress bar at full speed and a table of cars at any other speed.
+
+    Parameters
+    ----------
+    source : Source, optional
+        Messages of the recordings, for example paced. By default they are merged in time order.
+    """
+    shown = LiveTable(pipeline, "Replay", silent=rate == inf, zone=zone)
+    with show_progress(sources, shown=rate == inf) as step, shown as table:
+
+        def watch(tally: Tally) -> None:
+            step()
+            also()
+            table(tally)
+
+        return run(merge_sources(sources) if source is None else source, pipeline, sinks, watch=watch)

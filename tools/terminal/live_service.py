@@ -40,11 +40,11 @@ from socast.stream.zenoh_source import ZenohSource
 from socast.stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
 from socast.tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
-from socast.tools.terminal.limit_options import LimitLog
+from socast.tools.terminal.live_options import LimitLog, RecordingOptions
 from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_log_fields
 from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
-from socast.tools.terminal.recording_options import RecordingOptions
+from socast.tools.terminal.output import refuse
 
 UNCOUNTED: Final = 2.0
 """Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""
@@ -138,19 +138,6 @@ class LiveOptions:
 
 
 @dataclass(frozen=True)
-class Storage:
-    """Hold the files of the service, whose locks are taken."""
-
-    state: StateFile | None
-    recorder: Recorder | None
-
-    @property
-    def has_state(self) -> bool:
-        """Return whether there is a state to continue from."""
-        return self.state is not None and self.state.exists
-
-
-@dataclass(frozen=True)
 class ServiceParts:
     """Hold the parts of a service that has started.
 
@@ -172,11 +159,25 @@ class ServiceParts:
 
 
 def serve(options: LiveOptions) -> None:
-    """Start the service, run it until a signal stops it, and stop it."""
+    """Start the service, run it until a signal stops it, and save its state."""
     with ExitStack() as ending:
         parts = start_service(options, ending)
-        run_service(parts, options.report_s, options.zone)
-        stop_service(parts)
+        with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty(), zone=options.zone) as table:
+            run(
+                parts.source,
+                parts.pipeline,
+                [parts.sink, *([parts.checkpoints] if parts.checkpoints else [])],
+                recorder=parts.recorder,
+                keep_open=parts.checkpoints is not None,
+                publish_s=PUBLISH_S,
+                watch=combine_watches(*parts.watches, table),
+                report_s=options.report_s,
+            )
+        parts.monitor.announce_stop()
+        parts.queries.end()
+        parts.rides.end()
+        if parts.checkpoints:
+            parts.checkpoints.save()
 
 
 def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
@@ -185,17 +186,19 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     connection = _make_connection(options)
     models = load_models(options.forecast.models)
     monitor = ending.enter_context(ServiceMonitor(options.metrics, str(options.shard or "")))
-    storage = _open_storage(options, models, ending)
+    state, recorder = _open_storage(options, models, ending)
+    goes_on = state is not None and state.exists
     monitor.begin("compiling kernels")
     compile_kernels(*models)
-    monitor.begin("loading the state" if storage.has_state else "learning from earlier recordings")
-    pipeline = _make_pipeline(options, models, storage)
-    checkpoints = Checkpoints(pipeline, storage.state, storage.recorder) if storage.state else None
+    monitor.begin("loading the state" if goes_on else "learning from earlier recordings")
+    pipeline = _make_pipeline(options, models, goes_on=goes_on)
+    checkpoints = Checkpoints(pipeline, state, recorder) if state else None
     first = _restore(pipeline, checkpoints)
     _refuse_other_shard(options, pipeline)
     monitor.begin("connecting to Zenoh")
     stop = ending.enter_context(stop_on_signals())
-    ending.enter_context(act_on_hangup(_choose_act(storage.recorder, stop)))
+    rotate = recorder.request_rotation if recorder else lambda: None
+    ending.enter_context(act_on_hangup(stop.set if sys.stdout.isatty() else rotate))  # without a terminal, log rotation
     node = ending.enter_context(Node(connection))
     role = ending.enter_context(Standby(node)) if options.standby else None
     overlap = ending.enter_context(OverlapWatch(node, standby=options.standby))
@@ -212,7 +215,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
         sink,
         QueryService(queryable, pipeline),
         RideLog(pipeline),
-        storage.recorder,
+        recorder,
         checkpoints,
         watches,
     )
@@ -220,37 +223,20 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     return parts
 
 
-def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC) -> None:
-    """Run the loop until a signal stops it."""
-    with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty(), zone=zone) as table:
-        run(
-            parts.source,
-            parts.pipeline,
-            [parts.sink, *([parts.checkpoints] if parts.checkpoints else [])],
-            recorder=parts.recorder,
-            keep_open=parts.checkpoints is not None,
-            publish_s=PUBLISH_S,
-            watch=combine_watches(*parts.watches, table),
-            report_s=report_s,
-        )
-
-
-def stop_service(parts: ServiceParts) -> None:
-    """Log the last counts, and save the state."""
-    parts.monitor.announce_stop()
-    parts.queries.end()
-    parts.rides.end()
-    if parts.checkpoints:
-        parts.checkpoints.save()
-
-
 def _make_connection(options: LiveOptions) -> Connection:
     """Return the connection; refuse --standby without a router of its own."""
     given = options.connection
-    if options.shard and options.shard.count > 1 and not (given.connect or given.config):
-        raise SettingsError("--shard needs a router that all consumers join: give --connect or --config")
-    if options.standby and not (given.connect or given.config):
-        raise SettingsError("--standby needs a router that outlives the consumers: give --connect or --config")
+    is_alone = not (given.connect or given.config)
+    refuse(
+        (
+            is_alone and options.shard and options.shard.count > 1,
+            "--shard needs a router that all consumers join: give --connect or --config",
+        ),
+        (
+            is_alone and options.standby,
+            "--standby needs a router that outlives the consumers: give --connect or --config",
+        ),
+    )
     return replace(
         given,
         prefix=options.forecast.prefix,
@@ -260,21 +246,23 @@ def _make_connection(options: LiveOptions) -> Connection:
     )
 
 
-def _open_storage(options: LiveOptions, models: Sequence[LinearModel], ending: ExitStack) -> Storage:
+def _open_storage(
+    options: LiveOptions, models: Sequence[LinearModel], ending: ExitStack
+) -> tuple[StateFile | None, Recorder | None]:
     """Take the locks of the state and of the recording, before anything slow begins."""
     state = ending.enter_context(StateFile(options.state)) if options.state else None
     changes = list_changed_settings(options.limits, Limits(key_rate=LIVE_KEY_RATE))
     recorder = options.recording.open_recorder(describe_forecasts("live", options.forecast, models, changes))
-    return Storage(state, ending.enter_context(recorder) if recorder else None)
+    return state, ending.enter_context(recorder) if recorder else None
 
 
-def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage: Storage) -> Pipeline:
+def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], *, goes_on: bool) -> Pipeline:
     """Return the pipeline; it learns from --warm-up where there is no state."""
-    if storage.has_state and options.forecast.warm_up:
+    if goes_on and options.forecast.warm_up:
         _log.warning(
             "--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(options.state))
         )
-    return make_pipeline(options.forecast, models, options.limits, warm=not storage.has_state, shard=options.shard)
+    return make_pipeline(options.forecast, models, options.limits, warm=not goes_on, shard=options.shard)
 
 
 def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
@@ -345,13 +333,6 @@ def _add_watches(
         )
         ending.callback(nightly.end)
         parts.watches.append(nightly)
-
-
-def _choose_act(recorder: Recorder | None, stop: Event) -> Callable[[], None]:
-    """Return what SIGHUP does: stop where a terminal has gone, else begin another file of the recording."""
-    if sys.stdout.isatty():
-        return stop.set
-    return recorder.request_rotation if recorder else lambda: None
 
 
 def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], monitor: ServiceMonitor) -> None:

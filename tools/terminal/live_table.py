@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, tzinfo
 from functools import partial
-from math import isfinite, nan
+from math import floor, isfinite, nan
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -28,10 +28,9 @@ from socast.core.wire.live_fields import LiveField, list_live_fields
 from socast.core.wire.messages import Forecast, Interval
 from socast.stream.loop import Tally
 from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
-from socast.tools.terminal.output import make_console
+from socast.tools.terminal.output import make_console, print_plain
 from socast.tools.terminal.recordings import QUIET_S
 from socast.tools.terminal.rich_table import Column, make_table
-from socast.tools.terminal.small_pictures import draw_charge
 from socast.tools.terminal.time_zone import format_local, name_zone
 
 REDRAW_S = 0.25
@@ -44,6 +43,8 @@ MOST_RIDES = 60
 """Largest number of rides listed on a terminal; the JSON report lists all."""
 
 
+SCALE, SPAN, MIDDLE, NOW = "·", "━", "┃", "●"
+"""Characters of a charge: the scale, the interval of the forecast, its mean, and the present charge."""
 RIDE_COLUMNS = (
     "vehicle_id",
     "ride_key",
@@ -141,9 +142,7 @@ class LiveTable:
             fleet = make_fleet_table(cars, self._title, counts, rows, shadows, wide=wide, zone=self._zone)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
-            self._console.print(
-                format_fleet_line(cars, tally, self._zone), markup=False, highlight=False, soft_wrap=True
-            )
+            print_plain(self._console, format_fleet_line(cars, tally, self._zone))
 
 
 class FleetColumn(NamedTuple):
@@ -167,12 +166,10 @@ def make_fleet_table(
     shown = _choose_cars(cars, rows)
     of_zone = name_zone([each.forecast.time_s for each in shown if isfinite(each.forecast.time_s)], zone)
     columns = _list_columns(of_zone, shadows, zone, wide=wide)
-    table = make_table([each.column for each in columns], title, caption, expand=True)
-    for car in shown:
-        table.add_row(*(each.make_cell(car) for each in columns))
+    rows_shown = [[each.make_cell(car) for each in columns] for car in shown]
     if len(cars) > len(shown):
-        table.add_row(f"and {len(cars) - len(shown):,} more", *[""] * (len(columns) - 1))
-    return table
+        rows_shown.append([f"and {len(cars) - len(shown):,} more", *[""] * (len(columns) - 1)])
+    return make_table([each.column for each in columns], title, caption, rows=rows_shown, expand=True)
 
 
 def _list_columns(of_zone: str, shadows: int, zone: tzinfo | None, *, wide: bool) -> list[FleetColumn]:
@@ -239,6 +236,37 @@ def _draw_charge(car: VehicleStatus, width: int) -> Text:
     end = car.forecast.soc_end_of_shift_pct
     bounds = None if end is None else (end.mean, end.p05, end.p95)
     return draw_charge(car.soc_pct, bounds, width, "red" if _is_at_risk(car) else "cyan")
+
+
+def draw_charge(now_pct: float, end_pct: tuple[float, float, float] | None, width: int, style: str = "cyan") -> Text:
+    """Return a charge and its forecast on a scale from 0 to 100 %.
+
+    Parameters
+    ----------
+    now_pct : float
+        Present state of charge, NaN where unknown. [%]
+    end_pct : tuple of (float, float, float), optional
+        Mean, 5th and 95th percentile of the charge at the end of the shift. [%]
+
+    Examples
+    --------
+    >>> draw_charge(80.0, (45.0, 30.0, 60.0), 10).plain
+    '···━┃━━·●·'
+    >>> draw_charge(float("nan"), None, 10).plain
+    '··········'
+    """
+
+    def place(pct: float) -> int:
+        return min(max(floor(pct / 100.0 * width), 0), width - 1)
+
+    marks = [(SCALE, "dim")] * width
+    if end_pct is not None:
+        mean, low, high = map(place, end_pct)
+        marks[low : high + 1] = [(SPAN, style)] * (high + 1 - low)
+        marks[mean] = MIDDLE, f"bold {style}"
+    if isfinite(now_pct):
+        marks[place(now_pct)] = NOW, "bold"
+    return Text.assemble(*marks)
 
 
 def _is_at_risk(car: VehicleStatus) -> bool:
@@ -315,10 +343,10 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], z
         *(Column(head, number=True, fixed=True) for head in numbers),
         Column("unfit for\ntraining", fixed=True),
     ]
-    table = make_table(columns, "Rides, predicted against measured")
+    rows: list[Sequence[str | Text]] = []
     for name, ride in zip(name_rides(shown), make_ride_records(shown), strict=True):
         start = format_local(ride["start_s"], "%m-%d %H:%M", zone)
-        table.add_row(
+        row = (
             Text(name),
             *((start,) if wide else ()),
             _format_number(ride["duration_s"] / 60, 1),
@@ -329,12 +357,11 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], z
             _format_number(ride["error_pct"], 0, sign=True),
             Text((ride["unfit_reason"] or "").replace("_", " ")),
         )
-    if len(rides) > MOST_RIDES:
-        table.caption = f"the last {MOST_RIDES} of {len(rides):,} rides"
-    if len(rides):
-        console.print(table)
-    for line in summary(rides, quality):
-        console.print(line, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+        rows.append(row)
+    caption = f"the last {MOST_RIDES} of {len(rides):,} rides" if len(rides) > MOST_RIDES else ""
+    if rows:
+        console.print(make_table(columns, "Rides, predicted against measured", caption, rows=rows))
+    print_plain(console, *summary(rides, quality), wraps=True)
 
 
 def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
@@ -382,14 +409,7 @@ def describe_unknown_models(unknown: Mapping[str, Sequence[str]]) -> list[str]:
     return lines
 
 
-class _Reads(Protocol):
-    """Provide names with their counts, for `_format_counts`."""
-
-    def items(self) -> Any:
-        """Return pairs of name and count."""
-
-
-def _format_counts(counts: _Reads) -> str:
+def _format_counts(counts: Mapping[str, int]) -> str:
     """Return the text of the counts above zero, such as `name 3, other 1`."""
     return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
 

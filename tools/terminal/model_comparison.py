@@ -1,6 +1,7 @@
 """Several models in live operation: their options on the command line, and their errors as a table and as JSON."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -15,8 +16,8 @@ from socast.core import models
 from socast.core.formatting import format_count, format_minus
 from socast.core.models import LinearModel
 from socast.core.wire.messages import Gain, ModelErrors, RideErrors
+from socast.tools.terminal.output import print_plain
 from socast.tools.terminal.rich_table import Column, make_table
-from socast.tools.terminal.small_pictures import draw_course
 
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""
@@ -42,6 +43,8 @@ _WIDE: Final = (
     ("vehicle-\ndays", 8),
 )
 
+LEVELS: Final = "▁▂▃▄▅▆▇█"
+"""Characters of the course of a value, from low to high."""
 ModelNames = Annotated[
     list[str] | None,
     typer.Option(
@@ -95,6 +98,25 @@ class ErrorCourses:
         return draw_course(self._of.get(model, ()), COURSE)
 
 
+def draw_course(values: Sequence[float], width: int) -> str:
+    """Return the course of values from 0 to the largest, the newest last.
+
+    Examples
+    --------
+    >>> draw_course([4.0, 3.0, 2.0, 1.0], 4)
+    '█▆▄▂'
+    >>> draw_course([], 4)
+    ''
+    """
+    if not values:
+        return ""
+    count = min(width, len(values))
+    edges = [len(values) * place // count for place in range(count + 1)]
+    means = [sum(values[a:b]) / (b - a) for a, b in pairwise(edges)]
+    most = max(*means, 1e-12)
+    return "".join(LEVELS[min(max(round(value / most * len(LEVELS)) - 1, 0), len(LEVELS) - 1)] for value in means)
+
+
 def make_models_table(
     errors_of_models: Sequence[ModelErrors],
     *,
@@ -136,8 +158,7 @@ def show_models(
     verdicts = [
         f"{model.model}: {describe_gain(model.overall.gain)}" for model in errors_of_models if model.overall.gain
     ]
-    for sentence in (*verdicts, VERDICT_NOTE, *warn_of_training_days(known, rides)):
-        console.print(sentence, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+    print_plain(console, *(*verdicts, VERDICT_NOTE, *warn_of_training_days(known, rides)), wraps=True)
 
 
 def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> list[str]:

@@ -3,8 +3,8 @@
 import os
 import sys
 from collections.abc import Iterable, Mapping
+from datetime import date
 from errno import EACCES
-from importlib import import_module
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -145,6 +145,30 @@ def make_console(json_file: Path | None = None) -> Console:
     return _PipedConsole(stderr=stderr, width=PIPE_WIDTH)
 
 
+def print_plain(console: Console, *lines: str, style: str = "", wraps: bool = False) -> None:
+    """Print lines as they are, without markup; a line is broken only if it `wraps` and the output is a terminal."""
+    for line in lines:
+        console.print(line, style=style, markup=False, highlight=False, soft_wrap=not (wraps and console.is_terminal))
+
+
+def refuse(*mistakes: tuple[object, str]) -> None:
+    """Raise `SettingsError` with the words of the first mistake that was made.
+
+    Parameters
+    ----------
+    *mistakes : tuple of (object, str)
+        Whether a mistake was made, and what it is with its remedy.
+    """
+    for is_made, words in mistakes:
+        if is_made:
+            raise SettingsError(words)
+
+
+def refuse_existing(file: Path) -> None:
+    """Refuse to overwrite a file."""
+    refuse((file.exists(), f"{file} is there already and would be overwritten; name another file"))
+
+
 def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:
     """Write a report as JSON: first its format, then its fields, with NaN and infinity as null.
 
@@ -168,27 +192,15 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
         sys.stdout.write(text.decode())
         sys.stdout.flush()
         return
+    write_file(path, text)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file as a whole; one that is there is replaced."""
     try:
-        write_whole(path, text)
+        write_whole(path, content)
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
-
-
-def show_report(name: str, result: Any, html_file: Path | None, json_file: Path | None = None, **options: Any) -> None:
-    """Write the HTML page of a result if a file is named, then print its tables.
-
-    Parameters
-    ----------
-    name : str
-        Module of `socast.tools.report` that shows the result. It is imported here, because figures take seconds to
-        import.
-    """
-    shown, console = import_module(f"socast.tools.report.{name}"), make_console(json_file)
-    if html_file:
-        shown.write(result, html_file, **options)
-    shown.show(result, console, **options)
-    if html_file:
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
 
 
 def select_model_files(given: Iterable[str]) -> list[Path]:
@@ -232,6 +244,19 @@ def _try_to_write(path: Path) -> None:
         path.open("ab").close()
     elif not os.access(path, os.W_OK):
         raise PermissionError(EACCES, os.strerror(EACCES))
+
+
+def parse_date(place: str, text: str) -> date:
+    """Return the date of an option or of a field."""
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError:
+        raise SettingsError(f"{place} is '{text}'; give a date such as 2018-11-20") from None
+
+
+def split_names(text: str | None) -> tuple[str, ...]:
+    """Return the parts of a list separated by commas."""
+    return tuple(filter(None, (part.strip() for part in (text or "").split(","))))
 
 
 def parse_speed(text: str) -> float:

@@ -9,12 +9,14 @@ from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from socast.core.errors import RecordingError, SettingsError
 from socast.core.totals.logger_faults import describe_faults
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recorder import list_recordings
+from socast.tools.terminal.output import print_plain
+from socast.tools.terminal.progress import show_bar
 
 QUIET_S: Final = 30.0
 """Time between two lines on progress where standard error is no terminal. [s]"""
@@ -74,20 +76,14 @@ def show_progress(
     if shown and not console.is_terminal:
         yield _make_line_progress(sources, words, console, clock)
         return
-    columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task(words, total=sum(source.blocks for source in sources))
-        yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))
+    columns, total = (MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn()), _count_blocks(sources)
+    with show_bar(words, *columns, total=total, shown=shown) as update:
+        yield lambda: update(sum(source.blocks_read for source in sources))
 
 
-@contextmanager
-def show_shares(words: str) -> Iterator[Callable[[float], None]]:
-    """Show on standard error the share of a work that is done, by a bar; nothing without a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn(words), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(words, total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+def _count_blocks(sources: Sequence[McapSource]) -> int:
+    """Return the number of chunks of recordings."""
+    return sum(source.blocks for source in sources)
 
 
 def _make_line_progress(
@@ -95,22 +91,21 @@ def _make_line_progress(
 ) -> Callable[[], None]:
     """Return the function that prints a line on the progress when `QUIET_S` have passed since the last one."""
     due = clock() + QUIET_S
-    total = sum(source.blocks for source in sources)
+    total = _count_blocks(sources)
 
     def step() -> None:
         nonlocal due
         if (now := clock()) >= due:
             due = now + QUIET_S
             read = sum(source.blocks_read for source in sources)
-            console.print(f"{words}: {read:,} of {total:,} chunks", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"{words}: {read:,} of {total:,} chunks")
 
     return step
 
 
 def warn_of_loggers(quality: Mapping[str, Any]) -> None:
     """Print one line on standard error for each fault of loggers: the cars and the remedy."""
-    for line in describe_faults(quality["logger_faults"]):
-        Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    print_plain(Console(stderr=True), *describe_faults(quality["logger_faults"]), style="yellow")
 
 
 def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None) -> None:
@@ -118,4 +113,4 @@ def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None
     console = console or Console(stderr=True)
     for source in sources:
         for line in source.losses.lines():
-            console.print(f"{source.path}: {line}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+            print_plain(console, f"{source.path}: {line}", style="yellow")

@@ -1,7 +1,7 @@
 """The common style of all tables in the terminal."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from rich import box
@@ -214,8 +214,15 @@ def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequen
     return widths
 
 
-def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *, expand: bool = False) -> Table:
-    """Return an empty table in the common style, with horizontal rules only, which leaves more width for numbers."""
+def make_table(
+    columns: Sequence[Column],
+    title: str = "",
+    caption: str = "",
+    *,
+    rows: Iterable[Sequence[RenderableType]] = (),
+    expand: bool = False,
+) -> Table:
+    """Return a table in the common style, with horizontal rules only, which leaves more width for numbers."""
     table = _NumberTable(
         title=Text(title, style="bold") if title else None,
         caption=Text(caption) if caption else None,
@@ -235,6 +242,8 @@ def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *,
             min_width=column.min_width,
             ratio=column.ratio,
         )
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

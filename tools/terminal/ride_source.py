@@ -6,7 +6,7 @@ the same settings, maps, effects and vehicles.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Final
@@ -29,10 +29,9 @@ from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.run import tabulate_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, word_settings
-from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options, word_settings
 from socast.tools.terminal.option_groups import insert_options
-from socast.tools.terminal.output import EffectFiles, VehicleFiles
+from socast.tools.terminal.output import EffectFiles, VehicleFiles, check_outputs, select_model_files
 from socast.tools.terminal.recordings import (
     open_recordings,
     refuse_duplicates,
@@ -40,8 +39,17 @@ from socast.tools.terminal.recordings import (
     show_progress,
     warn_of_losses,
 )
-from socast.tools.terminal.table_files import KEY, PARQUET, ParquetTable, is_table, is_window_table, join_parts, read
-from socast.tools.terminal.table_source import are_dated, complete_tables
+from socast.tools.terminal.table_files import (
+    KEY,
+    PARQUET,
+    ParquetTable,
+    are_dated,
+    complete_tables,
+    is_table,
+    is_window_table,
+    join_parts,
+    read,
+)
 
 RIDES, WINDOWS = "rides.parquet", "windows.parquet"
 ROW_GROUP: Final = 2000
@@ -78,7 +86,6 @@ class RideSource:
     elevation: Sequence[Path] = ()
     effect_files: Sequence[Path] = ()
     vehicle_files: Sequence[Path] = ()
-    place: ClusterPlace | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -111,8 +118,12 @@ class RideSource:
         """Return the words of a command that reads the same rides."""
         return [*map(str, self.given), *self.list_options()]
 
-    def check(self) -> None:
-        """Refuse a file given twice, and options of cleaning beside tables, which are cleaned already."""
+    def check(self, *outputs: Path | None, models: Sequence[str] = (), also: Sequence[Path] = ()) -> None:
+        """Refuse what cannot work before anything is read.
+
+        This is a file given twice, options of cleaning beside tables, which are cleaned already, and outputs that
+        cannot be written or would overwrite what is read: the rides, files of `models`, or files beside these.
+        """
         files = self.files
         refuse_duplicates(files)
         words = word_settings(self.settings) + (["--elevation"] if self.elevation else [])
@@ -121,9 +132,13 @@ class RideSource:
                 f"{' '.join(words)} cleans recordings, and {files[0]} holds rides that are cleaned already; leave it "
                 "out, and give it to `socast tables` as you make the tables"
             )
+        if outputs:
+            check_outputs([*self.list_read_files(), *select_model_files(models), *also], *outputs)
 
     @contextmanager
-    def open_tables(self, wanted: Sequence[str] = (), *, always: bool = False) -> Iterator["RideSource"]:
+    def open_tables(
+        self, wanted: Sequence[str] = (), place: ClusterPlace | None = None, *, always: bool = False
+    ) -> Iterator["RideSource"]:
         """Yield this source, of which workers have made tables, if there are any.
 
         Parameters
@@ -133,7 +148,7 @@ class RideSource:
         always : bool
             Make tables in a folder of recordings without workers too, so that memory does not grow with their length.
         """
-        if not self.given or (self.place is None and not (always and self.is_recorded)):
+        if not self.given or (place is None and not (always and self.is_recorded)):
             yield self
             return
         if not self.is_recorded:
@@ -141,16 +156,16 @@ class RideSource:
                 f"--cluster makes tables of recordings, and {self.files[0]} is none; leave out --cluster"
             )
         named, sources = _list_effects(wanted), open_recordings(self.files)
-        beside = Path.cwd() if self.place and self.place.address else None
+        beside = Path.cwd() if place and place.address else None
         with TemporaryDirectory(prefix="tables-", dir=beside) as made:
             folder = Path(made)
-            if self.place is None:
+            if place is None:
                 write_tables(sources, self._make_pipeline(named), folder)
             else:
                 tabulate_by_workers(
                     sources,
                     folder,
-                    self.place,
+                    place,
                     model=EXTENDED_PHYSICAL.name,
                     wanted=named,
                     settings=self.settings,
@@ -339,8 +354,3 @@ def make_source(
 
 insert_ride_source = insert_options("source", insert_cleaning_options(make_source))
 """Decorator that gives a command the rides and the options of their source in place of its argument `source`."""
-
-
-def place_source(source: RideSource, place: ClusterPlace | None) -> RideSource:
-    """Return a source of which workers make the tables."""
-    return replace(source, place=place)

@@ -11,6 +11,7 @@ from rich.text import Text
 from socast.core.evaluate.soc.cases import MOST_FORECAST_AGE, SHIFT_KEY
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN
 from socast.core.pipeline import Pipeline
+from socast.tools.terminal.output import print_plain
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.time_zone import format_local, name_zone
 
@@ -133,7 +134,7 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo |
     if not shifts:
         return
     if not any(forecast for shift in shifts for forecast in shift["forecasts"].values()):
-        console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+        print_plain(console, NO_INTERVALS, wraps=True)
         return
     of_zone = name_zone([shift["begin_s"] for shift in shifts[-MOST_SHIFTS:]], zone)
     numbers = ("at its\nbeginning", "forecast\nthen", "2 h before\nthe end", "1 h before\nthe end", "outcome")
@@ -142,14 +143,10 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo |
         *(Column(head, number=True, fixed=True) for head in numbers),
         *(Column(head, fixed=True) for head in ("held", "")),
     ]
-    table = make_table(columns, "Charge at the shift's end, forecast against outcome, %")
-    for shift in shifts[-MOST_SHIFTS:]:
-        table.add_row(*_cells(shift, zone))
-    if len(shifts) > MOST_SHIFTS:
-        table.caption = f"the last {MOST_SHIFTS} of {len(shifts):,} shifts"
-    console.print(table)
-    for line in summary(shifts):
-        console.print(line, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+    caption = f"the last {MOST_SHIFTS} of {len(shifts):,} shifts" if len(shifts) > MOST_SHIFTS else ""
+    rows = [_cells(shift, zone) for shift in shifts[-MOST_SHIFTS:]]
+    console.print(make_table(columns, "Charge at the shift's end, forecast against outcome, %", caption, rows=rows))
+    print_plain(console, *summary(shifts), wraps=True)
 
 
 def summary(shifts: list[dict[str, Any]]) -> list[str]:

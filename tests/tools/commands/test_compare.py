@@ -16,8 +16,7 @@ from socast.tools.cli import main
 from socast.tools.report.comparison import tables
 from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.page import MOST_COMMANDS
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.document import Section, print_section
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.browsers import WIDE, open_browser
 from tests.support.commands import called, done

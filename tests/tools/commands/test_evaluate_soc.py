@@ -22,10 +22,15 @@ from socast.tools.commands import evaluate_soc as command
 from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 from socast.tools.importers.synthetic_shifts import concatenate_drives
-from socast.tools.report.soc import figures as drawn
+from socast.tools.report.page import write_report
 from socast.tools.report.soc import page as report
-from socast.tools.report.soc import risk_tables
-from socast.tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
+from socast.tools.report.soc.tables import (
+    compare_with_best,
+    format_share,
+    tabulate_alarms,
+    tabulate_by_time,
+    tabulate_conditions,
+)
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tests.support.soc_frames import make_frames
@@ -53,9 +58,7 @@ def printed(result):
 
 def figures(result):
     """Return all figures of the page, by key."""
-    drawn = [
-        one for section in report.build_sections(result) for one in report.build_illustrations(result, section.key)
-    ]
+    drawn = [one for section in report.build_sections(result) for one in report.build_report(result).draw(section.key)]
     return {one.key: one for one in drawn}
 
 
@@ -163,7 +166,7 @@ def test_tables_show_figures_of_result(result):
 
 
 def test_page_is_self_contained_and_has_every_figure(result, tmp_path):
-    report.write(result, tmp_path / "s.html")
+    write_report(report.build_report(result), tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text()
     page = read_page(text)
     assert page.loaded == []
@@ -184,7 +187,7 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 
 def test_scatter_shows_each_shift_once_at_its_values(result):
-    inside, outside, _ = drawn.draw_scatter(result).data
+    inside, outside, _ = report.draw_scatter(result).data
     group = result.overall.hours["2"]
     assert len(inside.x) + len(outside.x) == group.n
     assert len(inside.x) / group.n == pytest.approx(group.coverage.value)
@@ -192,7 +195,7 @@ def test_scatter_shows_each_shift_once_at_its_values(result):
 
 def test_risk_figure_shows_forecast_and_observed_risk():
     result = evaluate_soc(*make_frames(cars=6, days=9))
-    *traces, equal = drawn.draw_risk(result).data
+    *traces, equal = report.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
@@ -218,18 +221,18 @@ def coverages(*clusters):
 
 
 def test_figure_of_few_vehicle_days_shows_only_interval():
-    points, lines = drawn.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
+    points, lines = report.draw_coverage(coverages(1, 2, LEAST_CLUSTERS - 1, LEAST_CLUSTERS), "Group [1]").data
     assert points.x == ("group 1", "group 2", "group 29", "group 30")
     assert points.y == (None, None, None, 80.0)
     assert lines.mode == "lines"
     assert lines.x == tuple(x for n in (1, 2, 29) for x in (f"group {n}", f"group {n}", None))
     assert lines.y == (None, None, None, 60.0, 95.0, None, 60.0, 95.0, None)
-    (alone,) = drawn.draw_coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
+    (alone,) = report.draw_coverage(coverages(LEAST_CLUSTERS, 300), "Group [1]").data
     assert alone.y == (80.0, 80.0)
 
 
 def test_groups_keep_their_order_even_if_too_small():
-    made = drawn.draw_coverage(coverages(40, 2, 50), "Group [1]")
+    made = report.draw_coverage(coverages(40, 2, 50), "Group [1]")
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
@@ -240,7 +243,7 @@ def test_interval_of_width_or_error_never_goes_below_zero(result):
         none = {name: replace(each, mae_pct=EstimatedValue()) for name, each in result.overall.pooled.baselines.items()}
         hours[ahead] = replace(result.overall.pooled, width_pct=width, mae_pct=width, baselines=none)
     result = replace(result, overall=replace(result.overall, hours=hours))
-    for trace in (drawn.draw_width(result).data[0], drawn.draw_errors(result).data[0]):
+    for trace in (report.draw_width(result).data[0], report.draw_errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
         assert trace.error_y.symmetric is False
@@ -257,7 +260,7 @@ def test_comparison_with_best_omits_few_vehicle_days(result):
 
 
 def test_alarms_are_listed_by_level(result):
-    table = risk_tables.tabulate_alarms(result)
+    table = tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
     group = result.reserve.overall["2"]
@@ -307,7 +310,7 @@ def test_share_of_few_vehicle_days_is_not_shown(result):
 
 def test_fan_of_example_ends_at_end_of_shift(result):
     for shift in result.examples:
-        upper, lower, mean, _, became = drawn.draw_example(shift).data
+        upper, lower, mean, _, became = report.draw_example(shift).data
         assert became.y == (shift.soc_end_pct,)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
@@ -317,7 +320,7 @@ def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
     out = printed(result)
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "all"]
     assert " 0 h " in out
-    report.write(result, tmp_path / "few.html")
+    write_report(report.build_report(result), tmp_path / "few.html")
     assert "figure-soc-scatter" not in read_page((tmp_path / "few.html").read_text()).ids
 
 
@@ -326,5 +329,5 @@ def test_unusual_names_are_shown_unchanged(tmp_path):
     result = evaluate_soc(*tables)
     assert "R&D's" in printed(result)
     assert any("no official rating is known of" in note for note in result.notes)
-    report.write(result, tmp_path / "odd.html")
+    write_report(report.build_report(result), tmp_path / "odd.html")
     assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

@@ -13,6 +13,7 @@ from socast.core.diagnose.add.records import EffectTrial, list_attempts
 from socast.core.models import BASIC_PHYSICAL, LinearModel
 from socast.tools.report import history
 from socast.tools.report.error_fall import draw_error_fall
+from socast.tools.report.page import write_report
 from tests.support.commands import done, refused
 from tests.support.html_pages import read_page
 
@@ -129,7 +130,7 @@ def test_incomplete_history_is_tolerated(model, tmp_path):
         for changed in ({**entry, key: None}, {k: v for k, v in entry.items() if k != key}):
             odd = msgspec.structs.replace(model, history=({"action": "fit"}, changed, {"effect": "?"}))
             printed(history.show, odd)
-            history.write(odd, tmp_path / "page.html")
+            write_report(history.build_report(odd), tmp_path / "page.html")
 
 
 def test_errors_of_history_are_one_line(path, capsys):

@@ -3,7 +3,7 @@
 import pytest
 
 from socast.core.diagnose.records import CauseProbability
-from socast.tools.report.diagnosis.cause_figures import MOST, draw_causes
+from socast.tools.report.diagnosis.figures import MOST, draw_causes
 from tests.support.html_pages import assert_axes_are_titled
 
 CAUSES = [

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
 from socast.tools.commands.diagnose import insert_commands
-from socast.tools.report.diagnosis.deviation_figures import draw_deviations
-from socast.tools.report.diagnosis.deviations import (
+from socast.tools.report.diagnosis.figures import draw_deviations
+from socast.tools.report.diagnosis.finding_words import (
     DIRECTIONS,
     describe_deviation,
     describe_deviations,

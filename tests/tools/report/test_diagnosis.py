@@ -20,6 +20,7 @@ from socast.tools.report.diagnosis.figures import (
     draw_remainder,
     draw_slices,
 )
+from socast.tools.report.page import write_report
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import (
     make_deviation,
@@ -45,7 +46,7 @@ def printed(result, width=120, **more):
 
 def page(result, tmp_path, **more):
     """Return the parsed page."""
-    report.write(result, tmp_path / "page.html", **more)
+    write_report(report.build_report(result, **more), tmp_path / "page.html")
     return read_page((tmp_path / "page.html").read_text())
 
 
@@ -354,7 +355,7 @@ def test_page_states_what_is_missing_once(tmp_path):
 
 
 def test_numbers_stay_with_their_units_on_the_page_and_in_the_terminal(tmp_path):
-    report.write(make_diagnosis(), tmp_path / "page.html")
+    write_report(report.build_report(make_diagnosis()), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert "60\u00a0% of the error" in text
     assert "0.037\u00a0kWh" in text
@@ -364,7 +365,7 @@ def test_numbers_stay_with_their_units_on_the_page_and_in_the_terminal(tmp_path)
 
 
 def test_title_and_caption_that_repeat_stand_once(tmp_path):
-    report.write(make_diagnosis(), tmp_path / "page.html")
+    write_report(report.build_report(make_diagnosis()), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert "<h3>Location of the error</h3>" not in text
     assert "<h3>1. cold_rolling@reference=283.15: coefficient and plausible range</h3>" in text
@@ -482,7 +483,7 @@ def test_unknown_values_are_tolerated(path, readers, known, tmp_path):
         draw(result)
     report.build_sections(result)
     if path[0] == "model":
-        report.write(result, tmp_path / "page.html")
+        write_report(report.build_report(result), tmp_path / "page.html")
 
 
 def test_odd_names_are_escaped(tmp_path):

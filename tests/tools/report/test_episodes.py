@@ -10,7 +10,8 @@ from rich.console import Console
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
-from socast.tools.report.diagnosis.episodes import advise_looking, describe_episodes, tabulate_episodes
+from socast.tools.report.diagnosis.finding_words import advise_looking, describe_episodes, tabulate_episodes
+from socast.tools.report.page import write_report
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_episode
 from tests.support.html_pages import read_page
@@ -86,7 +87,7 @@ def test_further_episodes_are_mentioned_in_the_headline():
 
 
 def test_page_has_a_table_of_episodes(tmp_path):
-    report.write(make_diagnosis(episodes=[make_episode()]), tmp_path / "page.html")
+    write_report(report.build_report(make_diagnosis(episodes=[make_episode()])), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert read_page(text)
     assert text.index("concentrated on 17 January 2018 and 2 March") < text.index("634 rides of 5 vehicles")
@@ -97,4 +98,4 @@ def test_page_has_a_table_of_episodes(tmp_path):
 def test_unknown_values_are_tolerated(key, tmp_path):
     result = make_diagnosis(episodes=[make_episode(**{key: None})])
     assert printed(result)
-    report.write(result, tmp_path / "page.html")
+    write_report(report.build_report(result), tmp_path / "page.html")

@@ -15,13 +15,19 @@ from socast.core.errors import SettingsError
 from socast.core.evaluate.binning import SEASONS
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.records import RecipeEvaluation
-from socast.tools.report.cells import PAPER_NOTE, UNKNOWN
-from socast.tools.report.evaluation import selection_figures
-from socast.tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
-from socast.tools.report.evaluation.sections import build_sections
-from socast.tools.report.evaluation.terminal import print_section, show
+from socast.tools.report.document import print_section
+from socast.tools.report.evaluation import selection
+from socast.tools.report.evaluation.page import (
+    MAKERS,
+    PAPER_CAPTION,
+    build_illustrations,
+    build_report,
+    build_sections,
+    show,
+)
 from socast.tools.report.figure_style import get_style
-from socast.tools.report.page import render_page, write
+from socast.tools.report.page import render_report, write_report
+from socast.tools.report.table import PAPER_NOTE, UNKNOWN
 from socast.tools.terminal.output import REPORT_VERSIONS
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation, hold
 from tests.support.html_pages import read_page
@@ -45,7 +51,7 @@ def printed_changes(result, before):
     known = build_sections(before)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "socast.tools.report.evaluation.terminal.print_section",
+            "socast.tools.report.document.print_section",
             lambda section, console: None if section in known else print_section(section, console),
         )
         return printed(result)
@@ -88,7 +94,7 @@ def readers(small):
 
 @pytest.fixture(scope="module")
 def html(result):
-    return render_page(result)
+    return render_report(build_report(result))
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +223,7 @@ def odd_report():
     for entries in result["by"]["driver"].values():
         del entries[5:]
         entries[0]["bin"] = odd("driver")
-    html = render_page(hold(result))
+    html = render_report(build_report(hold(result)))
     return html, read_page(html), printed(hold(result), width=1000)
 
 
@@ -266,7 +272,8 @@ def nulled(value):
 
 
 def test_empty_result_gives_page_and_terminal_output():
-    assert "Evaluation of consumption models" in "".join(read_page(render_page(RecipeEvaluation())).text)
+    page = read_page(render_report(build_report(RecipeEvaluation())))
+    assert "Evaluation of consumption models" in "".join(page.text)
     assert "The paper" in printed(RecipeEvaluation())
 
 
@@ -274,11 +281,11 @@ def test_non_finite_values_are_not_shown():
     result = smaller(evaluation())
     result["mae"]["hybrid_trees"]["kia-soul-ev-2015"]["0-5"] = {"value": float("nan"), "ci95": float("inf")}
     assert "nan" not in printed(hold(result)).replace("dominan", "")
-    assert "NaN" not in render_page(hold(result)).rpartition("<section")[0].partition("<main")[2]
+    assert "NaN" not in render_report(build_report(hold(result))).rpartition("<section")[0].partition("<main")[2]
 
 
 def test_reporting_does_not_change_result(small):
-    render_page(small)
+    render_report(build_report(small))
     printed(small)
     assert small == hold(smaller(evaluation()))
 
@@ -348,7 +355,7 @@ def test_split_tables_state_whether_best_models_differ():
 @given(value=st.floats(-50, 50), p=st.floats(0, 1))
 def test_difference_matrix_is_antisymmetric(value, p):
     pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
-    made = selection_figures.draw_difference_matrix(hold({"recipes": RECIPES, "difference": {"x": pairs}}), "x")
+    made = selection.draw_difference_matrix(hold({"recipes": RECIPES, "difference": {"x": pairs}}), "x")
     (heat,) = made.data
     assert heat.customdata[0][1] == 1000.0 * value == -heat.customdata[1][0]
     assert heat.z[0][1] == -heat.z[1][0]
@@ -384,10 +391,10 @@ def test_figures_are_plotly_figures(every_figure):
 
 def test_page_is_written(small, tmp_path):
     path = tmp_path / "report.html"
-    write(small, path)
+    write_report(build_report(small), path)
     assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
 def test_unwritable_page_raises_error_of_one_line(tmp_path):
     with pytest.raises(SettingsError, match=r"report\.html cannot be written: No such file"):
-        write(RecipeEvaluation(), tmp_path / "nowhere" / "report.html")
+        write_report(build_report(RecipeEvaluation()), tmp_path / "nowhere" / "report.html")

@@ -7,7 +7,7 @@ from socast.core.diagnose.error_location.absent_signals import SIGNALS
 from socast.core.diagnose.error_location.kinds import KINDS
 from socast.core.diagnose.records import Diagnosis
 from socast.core.wire.messages import Ride, Telemetry, Weather
-from socast.tools.report.diagnosis.location_figure import draw_location
+from socast.tools.report.diagnosis.figures import draw_location
 from socast.tools.report.diagnosis.location_sentences import (
     CAUSES,
     FIELDS,

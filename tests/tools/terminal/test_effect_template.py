@@ -5,7 +5,7 @@ import pytest
 from socast.core import effects
 from socast.core.effects import Parameter, registry
 from socast.core.effects.source_file import render_source
-from socast.tools.terminal.effect_template import blank
+from socast.tools.commands.effects import blank
 
 
 def suggestion(**changes):

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from socast.tools.terminal.elapsed_time import show_elapsed
+from socast.tools.terminal.progress import show_elapsed
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])

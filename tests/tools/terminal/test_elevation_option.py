@@ -1,6 +1,6 @@
 """Test the line about fixes outside the maps."""
 
-from socast.tools.terminal.elevation_option import describe_outside, warn_outside
+from socast.tools.terminal.cleaning_options import describe_outside, warn_outside
 
 
 def counts(**by_tile):

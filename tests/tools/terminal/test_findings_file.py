@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from socast.core.errors import SettingsError
-from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
+from socast.tools.terminal.night_watch import read_findings, show_changes, write_findings
 from tests.support.findings import make_finding
 
 

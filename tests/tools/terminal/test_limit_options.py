@@ -4,7 +4,7 @@ import logging
 
 from socast.core.pipeline import Pipeline
 from socast.core.settings import LIVE_KEY_RATE, Limits
-from socast.tools.terminal.limit_options import LimitLog, make_limits
+from socast.tools.terminal.live_options import LimitLog, make_limits
 from tests.support.telemetry import leaf, make_message, observed
 
 

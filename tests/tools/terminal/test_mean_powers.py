@@ -4,7 +4,7 @@ import numpy as np
 
 from socast.core.wire.messages import Telemetry
 from socast.tools.importers.drive import make_message
-from socast.tools.terminal.mean_powers import find_mean_powers
+from socast.tools.terminal.fault_report import find_mean_powers
 from tests.support.own_tables import make_drive
 
 FINE = 10

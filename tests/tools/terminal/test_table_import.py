@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.tools.terminal.table_source import are_dated
+from socast.tools.terminal.table_files import are_dated
 from tests.support.commands import called, done, refused
 from tests.support.own_tables import abrp, teslamate
 

@@ -9,7 +9,7 @@ import pytest
 from socast.core import effects
 from socast.stream.mcap_writer import McapSink
 from socast.tools.terminal.ride_source import RideSource
-from socast.tools.terminal.table_source import read_source
+from socast.tools.terminal.table_files import read_source
 from tests.support.commands import done
 from tests.support.recorded_shift import shift
 

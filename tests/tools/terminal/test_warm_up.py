@@ -4,7 +4,7 @@ import pytest
 
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
-from socast.tools.terminal.warm_up import learn_from_recordings
+from socast.tools.terminal.forecast_options import learn_from_recordings
 from tests.support.commands import called, done, refused
 from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
 from tests.support.telemetry import leaf, observed

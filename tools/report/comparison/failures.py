@@ -10,7 +10,7 @@ from rich.text import Text
 from socast.core.evaluate.compare.records import ChartBins, Comparison, ResidualChart, ResidualSurvey
 from socast.core.formatting import format_count, format_minus
 from socast.tools.report.comparison.figures import get_model_style
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.document import Illustration
 from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
 WIDTHS: Final = (16, 60)
@@ -154,12 +154,12 @@ def illustrate_change(before: ResidualSurvey, after: ResidualSurvey) -> list[Ill
 def _draw(chart: ResidualChart, before: ResidualChart | None = None) -> go.Figure:
     """Return the figure of a chart, or of two."""
     traces = [_draw_means(before, "before", str(REFERENCE_LINE["color"]), "square")] if before else []
-    made = make_figure(
-        [*traces, _draw_means(chart, "after" if before else "", get_model_style(0).colour, "circle")], height=300
+    return make_figure(
+        [*traces, _draw_means(chart, "after" if before else "", get_model_style(0).colour, "circle")],
+        height=300,
+        x={"title": chart.column.title},
+        y={"title": "predicted less measured [W]", "zeroline": True},
     )
-    made.update_xaxes(title=chart.column.title)
-    made.update_yaxes(title="predicted less measured [W]", zeroline=True)
-    return made
 
 
 def _draw_means(chart: ResidualChart, name: str, colour: str, symbol: str) -> go.Scatter:

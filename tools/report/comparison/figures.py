@@ -8,7 +8,6 @@ from plotly.subplots import make_subplots
 
 from socast.core.evaluate.compare.records import Comparison, ConditionBin, ContrastBin, DatasetContrast
 from socast.core.stats.scores import BANDS
-from socast.tools.report.cells import format_count
 from socast.tools.report.comparison.tables import (
     UNITS,
     format_bin,
@@ -16,16 +15,18 @@ from socast.tools.report.comparison.tables import (
     list_varying_conditions,
     select_most_significant,
 )
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.document import Illustration
 from socast.tools.report.figure_style import (
     REFERENCE_LINE,
     Style,
     apply_layout,
     draw_dots,
     escape_label,
+    find_limit,
     get_style,
     make_figure,
 )
+from socast.tools.report.table import format_count
 
 MOST_POINTS: Final = 2000
 """Largest number of rides in a scatter plot."""
@@ -94,10 +95,12 @@ def draw_scatter(result: Comparison, model: str, every: int = 1) -> go.Figure:
         for sign in (1.0, -1.0):
             line = {"width": 1, "dash": dash, "color": REFERENCE_LINE["color"]}
             lines.append(_line(f"±{band} %", sign * band / 100.0, [0.0, ends[1]], line, shown=sign > 0.0))
-    made = make_figure([points, *lines], 400)
-    made.update_xaxes(title_text="Measured energy of a ride [kWh]")
-    made.update_yaxes(title_text="Predicted energy of a ride [kWh]")
-    return made
+    return make_figure(
+        [points, *lines],
+        400,
+        x={"title_text": "Measured energy of a ride [kWh]"},
+        y={"title_text": "Predicted energy of a ride [kWh]"},
+    )
 
 
 def _line(
@@ -151,14 +154,8 @@ def _find_scale(
 ) -> float:
     """Return the end of the common scale of a figure of bins. [kWh]"""
     bins = [of_model for name in conditions for of_model in _index_known_bins(result, name).values()]
-    return _find_limit([figure(entry) for of_model in bins for entry in of_model.values()])
-
-
-def _find_limit(pairs: Sequence[tuple[float, float]]) -> float:
-    """Return the end of a scale that shows each value, and most intervals whole."""
-    most = max((abs(value) for value, _ in pairs), default=0.0)
-    ends = [abs(value) + half for value, half in pairs]
-    return 1.05 * max([most, *(end for end in ends if end <= WIDEST * most)])
+    pairs = [figure(entry) for of_model in bins for entry in of_model.values()]
+    return find_limit([value for value, _ in pairs], [abs(value) + half for value, half in pairs], WIDEST)
 
 
 def draw_errors_by_condition(result: Comparison, name: str, most_bias: float, most_error: float) -> go.Figure:
@@ -237,11 +234,11 @@ def draw_difference_terms(against: DatasetContrast, model: str) -> go.Figure:
     made = make_figure(
         [draw_dots("second less first", get_look(against, model), x, [escape_label(name) for name, _ in rows], spread)],
         120 + 26 * len(rows),
+        x={"title_text": "Difference in consumption [kWh/100 km]"},
+        y={"title_text": "Part of the difference", "type": "category"},
+        showlegend=False,
     )
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
-    made.update_xaxes(title_text="Difference in consumption [kWh/100 km]")
-    made.update_yaxes(title_text="Part of the difference", type="category")
-    made.update_layout(showlegend=False)
     return made
 
 
@@ -257,9 +254,8 @@ def illustrate_datasets(against: DatasetContrast) -> list[Illustration]:
         for i, (model, one) in enumerate(against.models.items())
         for j, (name, bins) in enumerate(one.by.items())
     ]
-    limit = _find_limit(
-        [(value, half) for *_, bins in parts for side in SIDES for _, value, half in _list_biases(bins, side)]
-    )
+    biases = [each for *_, bins in parts for side in SIDES for each in _list_biases(bins, side)]
+    limit = find_limit([value for _, value, _ in biases], [abs(value) + half for _, value, half in biases], WIDEST)
     return [
         Illustration(
             f"contrast-{i}-{j}",
@@ -282,7 +278,12 @@ def _list_biases(bins: Sequence[ContrastBin], side: str) -> list[tuple[str, floa
 def draw_bias_of_datasets(name: str, bins: Sequence[ContrastBin], limit: float) -> go.Figure:
     """Return a figure of the bias of one model on both sets of rides, a row for each bin."""
     shown = select_most_significant([{entry.bin: entry.bias_kwh.difference for entry in bins}])
-    made = make_figure([], 130 + 34 * len(shown))
+    made = make_figure(
+        [],
+        130 + 34 * len(shown),
+        x={"title_text": "Bias [kWh per ride]", "range": [-limit, limit]},
+        scattermode="group",
+    )
     for place, side in enumerate(SIDES):
         known = [(key, value, half) for key, value, half in _list_biases(bins, side) if key in shown]
         dots = draw_dots(
@@ -293,11 +294,9 @@ def draw_bias_of_datasets(name: str, bins: Sequence[ContrastBin], limit: float) 
             [half for *_, half in known],
         )
         made.add_trace(dots.update(orientation="h", offsetgroup=side))
-    made.update_layout(scattermode="group")
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
     order = [escape_label(format_bin(name, key)) for key in shown]
-    made.update_xaxes(title_text="Bias [kWh per ride]", range=[-limit, limit])
     made.update_yaxes(title_text=f"{name.capitalize()}{unit}", type="category", autorange="reversed")
     made.update_yaxes(categoryorder="array", categoryarray=order)
     return made

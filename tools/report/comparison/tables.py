@@ -1,38 +1,43 @@
 """Build the tables of a comparison: models, pairs of models, conditions, the worst rides, and two sets of rides."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
 from socast.core.evaluate.compare.models import MOST_RELATIVE_SD
 from socast.core.evaluate.compare.records import (
+    ComparedModel,
     Comparison,
     ConditionBin,
     ContrastBin,
     DatasetContrast,
     PairDifference,
     PropertyContrast,
+    SetContrast,
     TermContrast,
     WorstRide,
 )
 from socast.core.evaluate.records import EstimatedValue
+from socast.core.evaluate.relative_errors import LEAST_ENERGY
 from socast.core.formatting import format_range
 from socast.core.stats.multiple_testing import SIGNIFICANCE
 from socast.core.stats.scores import BANDS
-from socast.tools.report.cells import (
+from socast.tools.report.evaluation.percentage_tables import FLOOR_NOTE, PERCENT_NOTE, format_ratio, format_share
+from socast.tools.report.evaluation.result import get_vehicle_name
+from socast.tools.report.table import (
+    FORMATS,
     Cell,
     ReportTable,
-    Row,
     format_count,
     format_difference,
     format_energy,
     format_percent,
-    mark_least,
+    tabulate,
+    tabulate_records,
 )
-from socast.tools.report.evaluation.result import get_vehicle_name
-from socast.tools.report.record_table import FORMATS, tabulate_records
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "km", "temperature": "°C", "speed": "km/h", "time of day": "h"}
@@ -64,31 +69,48 @@ SIDE_FIELDS: Final = ("first", "second", "difference")
 
 def tabulate_models(result: Comparison) -> ReportTable:
     """Return the errors of each model."""
-    models = result.models.values()
-    first = mark_least(
-        [Cell(f"{format_energy(one.mae_kwh)} ({format_percent(one.relative)})") for one in models],
-        [one.mae_kwh.value for one in models],
-    )
-    rows = tuple(
-        Row(
-            name,
-            (
-                Cell(format_count(one.rides)),
-                error,
-                Cell(f"{format_difference(one.bias_kwh)} ({format_percent(one.relative_bias)})"),
-                Cell(format_energy(one.rmse_kwh)),
-                *(Cell(format_percent(one.within.get(str(band)))) for band in BANDS),
-            ),
-        )
-        for (name, one), error in zip(result.models.items(), first, strict=True)
-    )
-    heads = ("rides", "MAE, kWh", "bias, kWh", "RMSE, kWh", *(f"±{band} %" for band in BANDS))
     notes = (
         "MAE: mean absolute error. Bias: mean of predicted less measured. In parentheses, shares of mean consumption.",
         f"{' '.join(f'±{band} %' for band in BANDS)}: share of rides with a relative error within that band.",
         INTERVAL_NOTE,
     )
-    return ReportTable("Errors of the models", "model", heads, rows, notes)
+    return tabulate(
+        "Errors of the models",
+        "model",
+        list(result.models.items()),
+        [
+            ("rides", lambda one: format_count(one.rides)),
+            ("MAE, kWh", _show_error),
+            ("bias, kWh", lambda one: f"{format_difference(one.bias_kwh)} ({format_percent(one.relative_bias)})"),
+            ("RMSE, kWh", lambda one: format_energy(one.rmse_kwh)),
+            *((f"±{band} %", lambda one, band=str(band): format_percent(one.within.get(band))) for band in BANDS),
+        ],
+        notes,
+    )
+
+
+def _show_error(one: ComparedModel) -> Cell:
+    """Return the mean absolute error of a model, and its share of the consumption."""
+    return Cell(f"{format_energy(one.mae_kwh)} ({format_percent(one.relative)})", value=one.mae_kwh.value)
+
+
+def tabulate_relative_errors(result: Comparison) -> ReportTable:
+    """Return the errors of each model in percent of the energy, and over the noise floor."""
+    least = min((one.wmape.value for one in result.models.values() if one.wmape.value is not None), default=None)
+    floor, below = format_energy(result.about.noise_floor_kwh), format_percent(result.about.below_least)
+    measured = (
+        f"Measurement noise alone causes {floor} kWh. MAPE leaves out rides below {LEAST_ENERGY} kWh, {below} of all."
+    )
+    return tabulate_records(
+        "Errors in percent",
+        result.models,
+        ComparedModel,
+        corner="model",
+        fields=("wmape", "mape", "over_floor"),
+        notes=(PERCENT_NOTE, measured, FLOOR_NOTE),
+        strong=lambda name, _, value: name == "wmape" and least is not None and value.value == least,
+        formats={"share": format_share, "ratio": format_ratio},
+    )
 
 
 def tabulate_pairs(result: Comparison) -> ReportTable:
@@ -109,38 +131,12 @@ def list_varying_conditions(result: Comparison) -> list[str]:
     return list(dict.fromkeys(name for one in result.models.values() for name, bins in one.by.items() if len(bins) > 1))
 
 
-def list_biased_conditions(result: Comparison) -> list[str]:
-    """Return the conditions with a bin in which a model has a significant bias."""
-    models = result.models.values()
-    return [
-        name
-        for name in list_varying_conditions(result)
-        if any(entry.is_significant for one in models for entry in one.by.get(name, ()))
-    ]
-
-
-def describe_unbiased_conditions(names: Sequence[str]) -> str:
-    """Return a sentence on conditions whose tables are not shown; empty where there are none."""
-    return f"No significant bias by {', '.join(names)}; --html and --json have these tables." if names else ""
-
-
 def tabulate_errors_by_condition(result: Comparison, name: str) -> ReportTable:
     """Return bias and error of all models in the bins of a condition."""
     by_model = {model: index_bins(one.by.get(name, ())) for model, one in result.models.items()}
     first = next(iter(by_model.values()))
     shown = select_most_significant(
         [{label: entry.bias_kwh for label, entry in bins.items()} for bins in by_model.values()]
-    )
-    rows = tuple(
-        Row(
-            format_bin(name, label),
-            (
-                Cell(format_count(first[label].n)),
-                Cell(format_count(first[label].vehicle_days)),
-                *(_bias_and_error(bins.get(label), share=len(by_model) <= FEW) for bins in by_model.values()),
-            ),
-        )
-        for label in shown
     )
     notes = [SURE_NOTE, INTERVAL_NOTE]
     if name == "time of day":
@@ -149,8 +145,30 @@ def tabulate_errors_by_condition(result: Comparison, name: str) -> ReportTable:
         notes.append(
             f"{len(shown)} of {len(first)} bins are shown, those with the most significant bias; --json has all."
         )
-    heads = ("rides", "vehicle-days", *(f"{model}: bias (MAE), kWh" for model in by_model))
-    return ReportTable(f"Errors by {name}", format_condition(name), heads, rows, tuple(notes))
+
+    def make_cell(model: str, label: str) -> Cell:
+        if (entry := by_model[model].get(label)) is None:
+            return Cell("")
+        share = f", {format_percent(entry.relative, 0)}" if len(by_model) <= FEW else ""
+        return _mark(entry.bias_kwh, f" ({format_energy(entry.mae_kwh)}{share})", is_sure=entry.is_significant)
+
+    rows = [(format_bin(name, label), label) for label in shown]
+    return tabulate(
+        f"Errors by {name}",
+        format_condition(name),
+        rows,
+        [
+            ("rides", lambda label: format_count(first[label].n)),
+            ("vehicle-days", lambda label: format_count(first[label].vehicle_days)),
+            *((f"{model}: bias (MAE), kWh", partial(make_cell, model)) for model in by_model),
+        ],
+        tuple(notes),
+    )
+
+
+def _mark(bias: EstimatedValue, more: str = "", *, is_sure: bool) -> Cell:
+    """Return a bias, emphasised and with a star where it is significant."""
+    return Cell(f"{format_difference(bias)}{' *' if is_sure else ''}{more}", strong=is_sure)
 
 
 def format_condition(name: str) -> str:
@@ -186,15 +204,6 @@ def select_most_significant(by_model: Sequence[Mapping[str, EstimatedValue]]) ->
     return [label for label in labels if label in kept]
 
 
-def _bias_and_error(entry: ConditionBin | None, *, share: bool) -> Cell:
-    """Return the figures of a bin, with the error's share of consumption where there is room."""
-    if entry is None:
-        return Cell("")
-    mark = " *" if entry.is_significant else ""
-    error = format_energy(entry.mae_kwh) + (f", {format_percent(entry.relative, 0)}" if share else "")
-    return Cell(f"{format_difference(entry.bias_kwh)}{mark} ({error})", strong=bool(mark))
-
-
 def name_ride(place: int) -> str:
     """Return the key of the figure of the ride at a place among the traced rides, from 0."""
     return f"ride-{place}"
@@ -211,7 +220,7 @@ def tabulate_worst_rides(result: Comparison, model: str, *, commands: bool) -> l
     unknown = f"–: unknown; a relative error is given only of rides {within}."
     fields = [name for name in WORST_FIELDS if commands or name not in WIDE_FIELDS]
     some_unknown = any(getattr(ride, name) is None for ride in worst.absolute for name in fields)
-    tables = [
+    return [
         tabulate_records(
             f"{model}: the largest errors{scale}, kWh",
             rides,
@@ -219,14 +228,12 @@ def tabulate_worst_rides(result: Comparison, model: str, *, commands: bool) -> l
             fields=fields,
             notes=notes,
             formats={**FORMATS, "vehicle model": get_vehicle_name},
+            links=links,
         )
         for scale, rides, notes in (
             ("", worst.absolute, (unknown,) if some_unknown else ()),
             (" relative to measured energy", worst.relative, (f"Only rides {within}.",)),
         )
-    ]
-    return [
-        table._replace(rows=tuple(row._replace(link=links.get(row.name, "")) for row in table.rows)) for table in tables
     ]
 
 
@@ -260,60 +267,49 @@ def tabulate_difference_terms(against: DatasetContrast, model: str) -> ReportTab
         "The terms add up to the predicted difference. The last row is the part that the model does not "
         "explain, or chance."
     )
-    table = tabulate_records(
+    return tabulate_records(
         f"{model}: terms of the difference, kWh per 100 km",
         entries,
         TermContrast,
         fields=("name", *SIDE_FIELDS),
         notes=(note, INTERVAL_NOTE),
+        totals=sums,
     )
-    return table._replace(rows=tuple(row._replace(total=row.name in sums) for row in table.rows))
 
 
 def _errors(against: DatasetContrast) -> ReportTable:
     """Return bias and error of each model on both sets."""
-    rows = []
+    rows: list[tuple[str, tuple[SetContrast, Callable[[EstimatedValue], str]]]] = []
     for model, one in against.models.items():
-        for name, entry, shown in (("bias", one.bias_kwh, format_difference), ("MAE", one.mae_kwh, format_energy)):
-            sure = entry.p is not None and entry.p < SIGNIFICANCE
-            cells = (
-                Cell(shown(entry.first)),
-                Cell(shown(entry.second)),
-                Cell(format_difference(entry.difference), strong=sure),
-            )
-            rows.append(Row(f"{model}: {name}", cells))
-    heads = ("first", "second", "second less first")
+        rows.append((f"{model}: bias", (one.bias_kwh, format_difference)))
+        rows.append((f"{model}: MAE", (one.mae_kwh, format_energy)))
+
+    def show_difference(of: tuple[SetContrast, Any]) -> Cell:
+        return Cell(format_difference(of[0].difference), strong=of[0].p is not None and of[0].p < SIGNIFICANCE)
+
+    columns = [
+        ("first", lambda of: of[1](of[0].first)),
+        ("second", lambda of: of[1](of[0].second)),
+        ("second less first", show_difference),
+    ]
     note = "Bold: p below 0.05, not adjusted for the number of rows."
-    return ReportTable("Errors on both sets, kWh per ride", "model", heads, tuple(rows), (note, INTERVAL_NOTE))
+    return tabulate("Errors on both sets, kWh per ride", "model", rows, columns, (note, INTERVAL_NOTE))
 
 
 def tabulate_datasets_by_condition(against: DatasetContrast, model: str) -> list[ReportTable]:
     """Return the bias of a model on both sets of rides by each condition."""
-    heads = (
-        "rides",
-        "bias: first",
-        "second",
-        "second less first",
-        "MAE: second less first",
-        "kWh/100 km: second less first",
-    )
+    columns: list[tuple[str, Callable[[ContrastBin], Cell | str]]] = [
+        ("rides", lambda entry: " / ".join(format_count(n) for n in entry.n)),
+        ("bias: first", lambda entry: format_difference(entry.bias_kwh.first)),
+        ("second", lambda entry: format_difference(entry.bias_kwh.second)),
+        ("second less first", lambda entry: _mark(entry.bias_kwh.difference, is_sure=entry.is_significant)),
+        ("MAE: second less first", lambda entry: format_difference(entry.mae_kwh.difference)),
+        ("kWh/100 km: second less first", lambda entry: format_difference(entry.consumption.difference, 1)),
+    ]
     tables = []
     for name, bins in against.models[model].by.items():
         shown = select_most_significant([{entry.bin: entry.bias_kwh.difference for entry in bins}])
-        rows = tuple(_both(entry) for entry in bins if entry.bin in shown)
+        rows = [(entry.bin, entry) for entry in bins if entry.bin in shown]
         title, notes = f"{model}: by {name}, kWh per ride", (SURE_NOTE, INTERVAL_NOTE)
-        tables.append(ReportTable(title, format_condition(name), heads, rows, notes))
+        tables.append(tabulate(title, format_condition(name), rows, columns, notes))
     return tables
-
-
-def _both(entry: ContrastBin) -> Row:
-    mark = " *" if entry.is_significant else ""
-    cells = (
-        Cell(" / ".join(format_count(n) for n in entry.n)),
-        Cell(format_difference(entry.bias_kwh.first)),
-        Cell(format_difference(entry.bias_kwh.second)),
-        Cell(format_difference(entry.bias_kwh.difference) + mark, strong=bool(mark)),
-        Cell(format_difference(entry.mae_kwh.difference)),
-        Cell(format_difference(entry.consumption.difference, 1)),
-    )
-    return Row(entry.bin, cells)

@@ -1,24 +1,18 @@
-"""Build the tables and figures of a ride's trace: measured and predicted energy, window by window."""
+"""Show the trace of a ride: measured and predicted energy, window by window, as tables and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import accumulate, pairwise
 from typing import Any, Final
 
 import plotly.graph_objects as go
+from rich.console import Console
 
-from socast.core.evaluate.compare.records import RideTrace, TracedModel
-from socast.tools.report.cells import (
-    UNKNOWN,
-    Cell,
-    ReportTable,
-    Row,
-    format_energy,
-    format_estimate,
-    format_signed,
-)
+from socast.core.evaluate.compare.records import Comparison, Divergence, RideTrace, TracedModel
 from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.ride_figures import (
     MEASURED,
+    SECONDS,
     accumulate_error,
     convert_to_power,
     draw_conditions,
@@ -26,9 +20,18 @@ from socast.tools.report.comparison.ride_figures import (
     list_maps,
 )
 from socast.tools.report.comparison.tables import name_ride
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
-from socast.tools.report.record_table import tabulate_records
+from socast.tools.report.document import Illustration, Report, Section, print_section
+from socast.tools.report.figure_style import Style, draw_bars, escape_label, get_style, make_figure, make_stacked_figure
+from socast.tools.report.table import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    format_energy,
+    format_estimate,
+    format_signed,
+    tabulate,
+    tabulate_records,
+)
 
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""
@@ -47,8 +50,24 @@ MAP: Final = (
 )
 HERE: Final = "◄"
 """Mark of the windows where model and measurement diverge."""
-SECONDS: Final = 3600.0
-"""Seconds in an hour. [s]"""
+
+
+def show(trace: RideTrace, console: Console) -> None:
+    """Print the trace of a ride, from its windows to the predictions of the ride."""
+    for section in reversed(build_report(trace).sections):
+        print_section(section, console)
+
+
+def build_report(trace: RideTrace) -> Report:
+    """Return the report of a ride."""
+    terms = [tabulate_terms(name, of_model) for name, of_model in trace.models.items()]
+    sections = [
+        Section("trace", "Prediction and measurement along the ride", describe_ride(trace), [tabulate_models(trace)]),
+        Section("terms", "Terms of the predictions", "", terms),
+        Section("windows", "Window by window", "", [tabulate_windows(trace)]),
+    ]
+    title, drawn = f"Ride {trace.ride.ride_key}", {"trace": illustrate_trace}
+    return Report("compare", "compare", title, sections, result=trace, figures=drawn)
 
 
 def describe_ride(trace: RideTrace) -> str:
@@ -69,12 +88,7 @@ def tabulate_models(trace: RideTrace) -> ReportTable:
     return tabulate_records("Predictions of the ride", trace.models, TracedModel, corner="model", notes=notes)
 
 
-def tabulate_terms(trace: RideTrace) -> list[ReportTable]:
-    """Return the terms of each model: over the ride, and where it diverges from the measurement."""
-    return [_terms(name, of_model) for name, of_model in trace.models.items()]
-
-
-def _terms(model: str, of_model: TracedModel) -> ReportTable:
+def tabulate_terms(model: str, of_model: TracedModel) -> ReportTable:
     """Return the terms of a model, largest first."""
     place, start = of_model.place, of_model.start_terms
     at = slice(place.first, place.last + 1) if place else slice(0, 0)
@@ -82,60 +96,49 @@ def _terms(model: str, of_model: TracedModel) -> ReportTable:
         name: (start[name] + sum(energy), start[name], sum(energy[at])) for name, energy in of_model.terms.items()
     }
     shown = [name for name, energies in figures.items() if max(map(abs, energies)) >= LEAST_SHOWN]
-    order = sorted(shown, key=lambda name: -abs(figures[name][0]))
-    columns = [True, any(start[name] for name in shown), bool(place)]
-    heads = ("whole ride", "before the start", f"divergence, {place.minutes:.1f} min" if place else "")
-    rows = tuple(
-        Row(
-            name,
-            tuple(Cell(format_signed(energy)) for energy, wanted in zip(figures[name], columns, strict=True) if wanted),
-        )
-        for name in order
-    )
+    rows = [(name, figures[name]) for name in sorted(shown, key=lambda name: -abs(figures[name][0]))]
+    columns = [("whole ride", lambda energies: format_signed(energies[0]))]
+    if any(start[name] for name in shown):
+        columns.append(("before the start", lambda energies: format_signed(energies[1])))
+    if place:
+        columns.append((f"divergence, {place.minutes:.1f} min", lambda energies: format_signed(energies[2])))
     small = len(figures) - len(shown)
     notes = (f"{small} other terms are below {LEAST_SHOWN} kWh.",) if small else ()
-    return ReportTable(
-        f"{model}: terms of the prediction, kWh",
-        "term",
-        tuple(head for head, wanted in zip(heads, columns, strict=True) if wanted),
-        rows,
-        notes,
-    )
+    return tabulate(f"{model}: terms of the prediction, kWh", "term", rows, columns, notes)
 
 
 def tabulate_windows(trace: RideTrace) -> ReportTable:
     """Return the ride window by window."""
     windows, models = trace.windows, trace.models
     measured = convert_to_power(trace, windows.measured_kwh)
-    power = {name: convert_to_power(trace, one.energy_kwh) for name, one in models.items()}
-    errors = {name: accumulate_error(trace, name)[1:] for name in models}
-    rows = []
-    for i, minute in enumerate(windows.end_min):
+
+    def show_speed(i: int) -> str:
         seconds = windows.duration_s[i]
-        marks = {name: _mark(model, i) for name, model in models.items()}
-        cells = (
-            Cell(format_estimate(windows.end_km[i])),
-            Cell(format_estimate(SECONDS * windows.distance_km[i] / seconds, 0) if seconds else UNKNOWN),
-            Cell(format_estimate(measured[i])),
-            *(Cell(format_estimate(power[name][i])) for name in models),
-            *(Cell(f"{format_signed(errors[name][i])}{marks[name]}", strong=bool(marks[name])) for name in models),
-        )
-        rows.append(Row(f"{minute:.1f}", cells))
-    heads = (
-        *("km", "km/h", "measured, kW"),
-        *(f"{name}, kW" for name in models),
-        *(f"{name}: error so far, kWh" for name in models),
-    )
+        return format_estimate(SECONDS * windows.distance_km[i] / seconds, 0) if seconds else UNKNOWN
+
+    def show_power(power: Sequence[float | None], i: int) -> str:
+        return format_estimate(power[i])
+
+    def show_error(errors: Sequence[float], place: Divergence | None, i: int) -> Cell:
+        here = place is not None and place.first <= i <= place.last
+        return Cell(f"{format_signed(errors[i])}{f' {HERE}' if here else ''}", strong=here)
+
+    columns: list[tuple[str, Callable[[int], Cell | str]]] = [
+        ("km", lambda i: format_estimate(windows.end_km[i])),
+        ("km/h", show_speed),
+        ("measured, kW", partial(show_power, measured)),
+    ]
+    for name, one in models.items():
+        columns.append((f"{name}, kW", partial(show_power, convert_to_power(trace, one.energy_kwh))))
+    for name, one in models.items():
+        errors = accumulate_error(trace, name)[1:]
+        columns.append((f"{name}: error so far, kWh", partial(show_error, errors, one.place)))
+    rows = [(f"{minute:.1f}", i) for i, minute in enumerate(windows.end_min)]
     note = f"Mean power of each window, which ends at the given minute. {HERE}: prediction and measurement diverge."
-    return ReportTable("Window by window", "minute", heads, tuple(rows), (note,))
+    return tabulate("Window by window", "minute", rows, columns, (note,))
 
 
-def _mark(model: TracedModel, window: int) -> str:
-    place = model.place
-    return f" {HERE}" if place and place.first <= window <= place.last else ""
-
-
-def build_illustrations(trace: RideTrace) -> list[Illustration]:
+def illustrate_trace(trace: RideTrace) -> list[Illustration]:
     """Return the figures of energy and error along the ride, of power, and of the terms of each model."""
     note = "Shaded: where the first model and the measurement diverge."
     along = [
@@ -169,10 +172,10 @@ def build_illustrations(trace: RideTrace) -> list[Illustration]:
     return [*along, power, *conditions, *maps, *stacks]
 
 
-def build_ride_illustrations(traces: Mapping[str, RideTrace]) -> list[Illustration]:
-    """Return a figure and the maps of each of several rides."""
+def illustrate_traces(result: Comparison) -> list[Illustration]:
+    """Return a figure and the maps of each of the traced rides."""
     shown = []
-    for i, (key, trace) in enumerate(traces.items()):
+    for i, (key, trace) in enumerate((result.traces or {}).items()):
         words = " ".join(f"{name} {of_model.words}." for name, of_model in trace.models.items())
         shown.append(Illustration(name_ride(i), f"Ride {key}", f"{describe_ride(trace)} {words}", draw_ride(trace)))
         shown += [
@@ -182,66 +185,51 @@ def build_ride_illustrations(traces: Mapping[str, RideTrace]) -> list[Illustrati
     return shown
 
 
-def _ends(trace: RideTrace, axis: str) -> list[float]:
-    """Return the beginnings of windows, and the end of the last."""
-    return [0.0, *getattr(trace.windows, axis)]
-
-
 def draw_cumulative(trace: RideTrace, axis: str) -> go.Figure:
     """Return a figure of the energy so far above and the error so far below."""
     made = make_stacked_figure(("", ""), 600)
-    x = _ends(trace, axis)
-    made.add_trace(_steps("measured", MEASURED, x, _sums(trace.windows.measured_kwh), width=3), row=1, col=1)
+    x = [0.0, *getattr(trace.windows, axis)]
+    sums = list(accumulate(trace.windows.measured_kwh, initial=0.0))
+    made.add_trace(_draw_steps("measured", MEASURED, x, sums, width=3), row=1, col=1)
     for place, (name, of_model) in enumerate(trace.models.items()):
-        look = get_model_style(place)
-        made.add_trace(
-            _steps(escape_label(name), look, x, _sums(of_model.energy_kwh, of_model.start_kwh)), row=1, col=1
-        )
-        made.add_trace(
-            _steps(escape_label(name), look, x, accumulate_error(trace, name), showlegend=False), row=2, col=1
-        )
+        label, look = escape_label(name), get_model_style(place)
+        sums = list(accumulate(of_model.energy_kwh, initial=of_model.start_kwh))
+        made.add_trace(_draw_steps(label, look, x, sums), row=1, col=1)
+        made.add_trace(_draw_steps(label, look, x, accumulate_error(trace, name), showlegend=False), row=2, col=1)
     _shade(made, trace, x)
     made.update_xaxes(title_text=AXES[axis])
-    made.update_yaxes(title_text="Energy so far [kWh]", row=1, col=1)
-    made.update_yaxes(title_text="Error so far [kWh]", row=2, col=1)
-    return made
+    return made.update_layout(yaxis_title_text="Energy so far [kWh]", yaxis2_title_text="Error so far [kWh]")
 
 
 def draw_powers(trace: RideTrace) -> go.Figure:
     """Return a figure of the mean power of each window, measured and predicted."""
-    x = _ends(trace, "end_min")
-    traces = [_stairs("measured", MEASURED, x, convert_to_power(trace, trace.windows.measured_kwh), width=3)]
+    traces = [_draw_power("measured", MEASURED, trace, trace.windows.measured_kwh, width=3)]
     for place, (name, of_model) in enumerate(trace.models.items()):
-        traces.append(
-            _stairs(escape_label(name), get_model_style(place), x, convert_to_power(trace, of_model.energy_kwh))
-        )
-    made = make_figure(traces, 400)
-    _shade(made, trace, x)
-    made.update_xaxes(title_text=AXES["end_min"])
-    made.update_yaxes(title_text="Mean power of a window [kW]")
+        traces.append(_draw_power(escape_label(name), get_model_style(place), trace, of_model.energy_kwh))
+    made = make_figure(traces, 400, x={"title_text": AXES["end_min"]}, y={"title_text": "Mean power of a window [kW]"})
+    _shade(made, trace, [0.0, *trace.windows.end_min])
     return made
 
 
 def draw_terms(trace: RideTrace, model: str) -> go.Figure:
     """Return a figure of the terms of a model, stacked, and of the measured power."""
-    ends = _ends(trace, "end_min")
+    ends = [0.0, *trace.windows.end_min]
     middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
     width = [0.92 * (b - a) for a, b in pairwise(ends)]
     traces: list[Any] = []
     order = list(dict.fromkeys(name for of_model in trace.models.values() for name in _largest(of_model.terms)))
     for name, energy in _largest(trace.models[model].terms).items():
         look = get_style(1 + order.index(name))  # a term has one pattern, whichever model it is of
-        pattern = {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5}
-        marker = {"color": look.colour, "pattern": pattern, "line": {"color": look.colour, "width": 1}}
-        traces.append(
-            go.Bar(name=escape_label(name), x=middle, y=convert_to_power(trace, energy), width=width, marker=marker)
-        )
-    traces.append(_stairs("measured", MEASURED, ends, convert_to_power(trace, trace.windows.measured_kwh), width=3))
-    made = make_figure(traces, 420)
-    made.update_layout(barmode="relative")
-    made.update_xaxes(title_text=AXES["end_min"])
-    made.update_yaxes(title_text="Mean power of a window [kW]")
-    return made
+        power = convert_to_power(trace, energy)
+        traces.append(draw_bars(escape_label(name), look, power, middle, orientation=None, width=width))
+    traces.append(_draw_power("measured", MEASURED, trace, trace.windows.measured_kwh, width=3))
+    return make_figure(
+        traces,
+        420,
+        x={"title_text": AXES["end_min"]},
+        y={"title_text": "Mean power of a window [kW]"},
+        barmode="relative",
+    )
 
 
 def _largest(energies: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
@@ -253,11 +241,7 @@ def _largest(energies: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     return made
 
 
-def _sums(values: Sequence[float], start: float = 0.0) -> list[float]:
-    return list(accumulate(values, initial=start))
-
-
-def _steps(
+def _draw_steps(
     name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2, **more: Any
 ) -> go.Scatter:
     """Return a line through the values at the end of each window."""
@@ -268,10 +252,11 @@ def _steps(
     )
 
 
-def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2) -> go.Scatter:
-    """Return a line that is constant over each window."""
+def _draw_power(name: str, look: Style, trace: RideTrace, energy: Sequence[float], *, width: float = 2) -> go.Scatter:
+    """Return the mean power of an energy as a line that is constant over each window."""
     line = {"color": look.colour, "dash": look.dash, "width": width, "shape": "hv"}
-    return go.Scatter(name=name, x=list(x), y=[*y, y[-1]], mode="lines", line=line)
+    power = convert_to_power(trace, energy)
+    return go.Scatter(name=name, x=[0.0, *trace.windows.end_min], y=[*power, power[-1]], mode="lines", line=line)
 
 
 def _shade(made: go.Figure, trace: RideTrace, x: Sequence[float]) -> None:

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Final
 
 from socast.core.diagnose.records import Diagnosis, ErrorLocation, LocatedLoad
-from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.table import format_count, format_percent
 
 UNITS: Final = {
     "ride": "ride",
@@ -134,28 +134,24 @@ def format_size(value: float, unit: str) -> str:
 def describe_location(result: Diagnosis) -> list[str]:
     """Return where the error of a model lives, a line for each load, and what the data cannot show."""
     location = result.error_location
-    partial = location.partial_signals
-    known_in = {each: _word_known_rides(partial.get(each)) for each in location.absent_signals}
+    known_in = dict.fromkeys(location.absent_signals, "")  # in which rides a signal is known, in words
+    known_in |= {
+        each: f"{format_count(counts[0])} of {format_count(counts[1])} rides"
+        for each, counts in location.partial_signals.items()
+        if each in known_in
+    }
     lines = describe_shares(location)
     lines += [describe_load(load, known_in) for load in location.loads]
     if not location.loads and location.estimates:
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
     if known_in:
         unseen = (
-            f"{JUDGED_BY[each]} ({_word_signal(each, in_)})" for each, in_ in known_in.items() if each in JUDGED_BY
+            f"{JUDGED_BY[each]} ({f'{each} in {rides} only' if rides else f'no {each}'})"
+            for each, rides in known_in.items()
+            if each in JUDGED_BY
         )
         lines.append(f"These data cannot show {', '.join(unseen)}.")
     return lines
-
-
-def _word_known_rides(counts: tuple[int, int] | None) -> str:
-    """Return in how many of all rides a signal is known, an empty text where it is in none."""
-    return "" if counts is None else f"{format_count(counts[0])} of {format_count(counts[1])} rides"
-
-
-def _word_signal(name: str, known_in: str) -> str:
-    """Return that a signal is absent, or in how many rides it is."""
-    return f"{name} in {known_in} only" if known_in else f"no {name}"
 
 
 def describe_load(load: LocatedLoad, absent: Mapping[str, str] = NONE_ABSENT) -> str:

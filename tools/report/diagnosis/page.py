@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
@@ -13,19 +12,12 @@ from rich.style import Style
 from rich.text import Text
 
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
-from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
-from socast.tools.report.diagnosis.cause_figures import draw_causes
-from socast.tools.report.diagnosis.deviation_figures import draw_deviations
-from socast.tools.report.diagnosis.location_figure import draw_location
+from socast.tools.report.diagnosis import figures, finding_words, sentences, tables
 from socast.tools.report.diagnosis.location_sentences import describe_location
-from socast.tools.report.diagnosis.partial_figures import is_drawn, name_figure
-from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.sections import Section
-from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.page import NO_BREAK, escape_text, keep_units, render_document, save
+from socast.tools.report.diagnosis.residual_figures import is_drawn, name_figure
+from socast.tools.report.document import Illustration, Report, Section, print_heading, print_section
+from socast.tools.report.page import COMMAND, NO_BREAK, keep_units
 
-COMMAND: Final = "socast "
-"""Begin of a line that is a command."""
 LIST_MARK: Final = re.compile(r"- |\d+\. ")
 NONE_MISSING: Final = "No effect of the library is probable enough to be named."
 """Text of a diagnosis that finds nothing."""
@@ -33,9 +25,9 @@ DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingP
     {
         "error": figures.draw_errors,
         "slices": figures.draw_slices,
-        "location": draw_location,
-        "cars": draw_deviations,
-        "causes": lambda result: draw_causes(
+        "location": figures.draw_location,
+        "cars": figures.draw_deviations,
+        "causes": lambda result: figures.draw_causes(
             result.causes,
             title=f"Effects that would explain the same as {result.verdict}"
             if result.verdict
@@ -53,11 +45,8 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
     print_heading(f"Diagnosis of {result.model.name}, version {result.model.version}", console)
     print_lines(sentences.describe_verdict(result), console, strong=True)
     print_lines(sentences.describe_data(result), console)
-    if lines := episodes.describe_episodes(result):
-        print_heading("Episodes", console)
-        print_lines(lines, console)
-    print_heading("Error", console)
-    print_lines(sentences.describe_error(result), console)
+    _print_part("Episodes", finding_words.describe_episodes(result), console)
+    _print_part("Error", sentences.describe_error(result), console)
     failures, slices = sentences.describe_failures(result), tables.tabulate_slices(result)
     if slices.rows:
         section = Section("slices", "Where the model fails", " ".join(failures), [slices._replace(title="")])
@@ -65,25 +54,28 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
     else:
         print_heading("Where the model fails", console)
         print_lines(failures, console)
-    if lines := describe_location(result):
-        print_heading("Location of the error", console)
-        print_lines(lines, console)
+    _print_part("Location of the error", describe_location(result), console)
     _print_missing_effects(result, console)
-    if lines := deviations.describe_deviations(result):
-        print_heading("Cars and changes", console)
-        print_lines(lines, console)
+    _print_part("Cars and changes", finding_words.describe_deviations(result), console)
     print_heading("Remaining error", console)
     print_lines([*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)], console)
     print_heading("Next step", console)
     print_lines(sentences.describe_next_step(result), console, strong=True)
 
 
+def _print_part(title: str, lines: Sequence[str], console: Console) -> None:
+    """Print sentences below a title, nothing without any."""
+    if lines:
+        print_heading(title, console)
+        print_lines(lines, console)
+
+
 def print_step(result: Diagnosis, step: int, first: NamedEffect | CarDeviation | None, console: Console) -> None:
     """Print the result of one step of the automatic loop, and what it adds, in a few lines."""
     print_heading(f"Step {step}", console)
-    print_lines(episodes.describe_leading_episode(result), console)
+    print_lines(finding_words.describe_leading_episode(result), console)
     if first is None or isinstance(first, CarDeviation):
-        lines = [sentences.describe_end(result)] if first is None else deviations.describe_finding(first)
+        lines = [sentences.describe_end(result)] if first is None else finding_words.describe_finding(first)
         print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
@@ -100,12 +92,6 @@ def print_links(result: Diagnosis, path: Path, console: Console) -> None:
             link = Style(link=f"{path.resolve().as_uri()}{anchor}")
             line = Text(f"picture of {one.name}: ").append(f"{path}{anchor}", style=link)
             console.print(line, soft_wrap=True, highlight=False)
-
-
-def print_heading(title: str, console: Console) -> None:
-    """Print the title of a part."""
-    console.print()
-    console.rule(Text(title, style="bold"), align="left")
 
 
 def print_lines(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
@@ -148,46 +134,28 @@ def _print_missing_effects(result: Diagnosis, console: Console) -> None:
             console.print(Text(wrap_line(f"- {line}", console.width, "   ")), soft_wrap=True, highlight=False)
 
 
-def write(result: Diagnosis, path: Path, *, suggested: str | None = None) -> None:
-    """Write a diagnosis as an HTML page that loads no other file."""
+def build_report(result: Diagnosis, *, suggested: str | None = None) -> Report:
+    """Return the report of a diagnosis."""
     title = f"Diagnosis of {result.model.name}, version {result.model.version}"
-    lines = (
+    lead = [
         *sentences.describe_verdict(result),
         *sentences.describe_next_step(result),
         *sentences.describe_data(result),
-    )
-    page = render_document(
-        "diagnose",
-        title,
-        "".join(map(_format_line, lines)),
-        build_sections(result, suggested),
-        lambda key: _draw(result, key),
-        "<p>Made by <code>socast diagnose</code>.</p>",
-    )
-    save(page, path)
-
-
-def _format_line(line: str) -> str:
-    """Return a sentence as a paragraph, and a command as code that can be copied."""
-    command = line.startswith(COMMAND)
-    return f'<p class="command"><code>{escape(line)}</code></p>' if command else f"<p>{escape_text(line)}</p>"
-
-
-def _draw(result: Diagnosis, key: str) -> list[Illustration]:
-    """Return the figures of a section."""
-    make = DRAWN.get(key)
-    return [] if make is None else make(result)
+    ]
+    return Report("diagnose", "diagnose", title, build_sections(result, suggested), lead, (), result, DRAWN)
 
 
 def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Section]:
     """Return the sections of the page that have a text or a table with rows."""
+    missing = [f"{sentences.describe_missing_effect(one)[0]}." for one in result.missing]
+    remainder = (*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested))
     rivals = [f"{one.name}: {line}." for one in result.missing for line in sentences.describe_rivals(one)]
     sections = [
         Section(
             "episodes",
             "Episodes",
-            _end_sentences([line for line in episodes.describe_episodes(result) if not line.startswith(COMMAND)]),
-            [episodes.tabulate_episodes(result)],
+            _end_sentences([line for line in finding_words.describe_episodes(result) if not line.startswith(COMMAND)]),
+            [finding_words.tabulate_episodes(result)],
         ),
         Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
@@ -198,28 +166,20 @@ def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Sect
             [tables.tabulate_slices(result)],
         ),
         Section("location", "Location of the error", " ".join(describe_location(result)), []),
-        Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
-        Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),
         Section(
-            "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_unknown(result)]
+            "missing",
+            "Missing effects",
+            " ".join(line[:1].upper() + line[1:] for line in missing) or NONE_MISSING,
+            [tables.tabulate_missing_effects(result)],
         ),
+        Section("cars", "Cars and changes", _end_sentences(finding_words.describe_deviations(result)), []),
+        Section("remains", "Remaining error", _end_sentences(remainder), [tables.tabulate_unknown(result)]),
         Section("candidates", "All candidate effects", " ".join(rivals), [tables.tabulate_candidates(result)]),
     ]
     return [section for section in sections if section.text or any(table.rows for table in section.tables)]
-
-
-def _describe_remainder(result: Diagnosis, suggested: str | None) -> str:
-    """Return the remaining error as sentences, each with a full stop."""
-    return _end_sentences((*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)))
 
 
 def _end_sentences(lines: Sequence[str]) -> str:
     """Return lines as one text in which each ends with a stop, items of a list as sentences."""
     plain = (f"{line[2:3].upper()}{line[3:]}" if line.startswith("- ") else line for line in lines)
     return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in plain)
-
-
-def _summarise_missing(result: Diagnosis) -> str:
-    """Return what each missing effect is, one sentence each."""
-    lines = [f"{sentences.describe_missing_effect(one)[0]}." for one in result.missing]
-    return " ".join(line[:1].upper() + line[1:] for line in lines) or NONE_MISSING

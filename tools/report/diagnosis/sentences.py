@@ -9,22 +9,27 @@ from socast.core.diagnose.leading import find_leading
 from socast.core.diagnose.records import (
     NONE,
     UNKNOWN,
-    BiasedBin,
     CauseProbability,
     Diagnosis,
     HeldOutRides,
     NamedEffect,
     UnknownCause,
 )
+from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
-from socast.tools.report.cells import format_chance, format_count, format_difference, format_percent
 from socast.tools.report.comparison.tables import UNITS, format_bin
-from socast.tools.report.diagnosis.coefficient_words import describe_coefficient, format_unit
-from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
-from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
+from socast.tools.report.diagnosis.finding_words import (
+    MOST_DATES,
+    advise_looking,
+    advise_test,
+    describe_coefficient,
+    describe_finding,
+    describe_leading_episode,
+    format_unit,
+)
 from socast.tools.report.diagnosis.location_sentences import advise_recording
-from socast.tools.report.record_table import format_digits
+from socast.tools.report.table import format_chance, format_count, format_difference, format_digits, format_percent
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
@@ -37,8 +42,6 @@ LEAST_NAMED = 0.5
 """Probability from which an effect is named, if it is large enough. [1]"""
 MOST_NAMED = 3
 """Number of missing effects above which the headline counts the others."""
-MOST_DATES = 6
-"""Number of dates above which only their number, the first and the last one are written out."""
 CAUSE_NAMES = {NONE: "no missing effect", UNKNOWN: "a cause outside the library"}
 """Causes that are no effects, in words."""
 UNTESTED = {
@@ -76,8 +79,8 @@ def describe_data(result: Diagnosis) -> list[str]:
     """Return sentences about the rides that were diagnosed and how their energy was measured."""
     data = result.data
     rides = (
-        f"{format_count(data.rides)} rides of {_plural(data.vehicles, 'vehicle')} on "
-        f"{_plural(data.days, 'vehicle-day')}, {data.first_date} to {data.last_date}, in "
+        f"{format_count(data.rides)} rides of {count_things(data.vehicles, 'vehicle')} on "
+        f"{count_things(data.days, 'vehicle-day')}, {data.first_date} to {data.last_date}, in "
         f"{format_count(data.windows)} windows."
     )
     lines = [rides, f"Energy measured by: {data.resolution}."]
@@ -147,7 +150,12 @@ def describe_failures(result: Diagnosis) -> list[str]:
             "No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."
         )
     if bins := result.biased_bins:
-        shown = [_word_bin(one) for one in bins[:MOST_BINS]]
+        units = {condition: f" {unit}" for condition, unit in UNITS.items()}
+        shown = [
+            f"{one.condition} {format_bin(one.condition, one.bin)}{units.get(one.condition, '')} "
+            f"({format_difference(one.bias_kwh)} kWh)"
+            for one in bins[:MOST_BINS]
+        ]
         more = [f"{len(bins) - MOST_BINS} more"] if len(bins) > MOST_BINS else []
         lines.append(
             f"Off zero, as socast compare marks them: {', '.join([*shown, *more])}. A bin is compared with zero, "
@@ -158,12 +166,6 @@ def describe_failures(result: Diagnosis) -> list[str]:
         if shared and abs(bias or 0.0) > 0.5 * max(abs(one.bias_kwh.value or 0.0) for one in bins):
             lines.append(f"The bias that all rides share marks bins and no group: {shared}.")
     return lines
-
-
-def _word_bin(one: BiasedBin) -> str:
-    """Return a bin with its bias."""
-    unit = f" {UNITS[one.condition]}" if one.condition in UNITS else ""
-    return f"{one.condition} {format_bin(one.condition, one.bin)}{unit} ({format_difference(one.bias_kwh)} kWh)"
 
 
 def _describe_bias(bias: float | None) -> str:
@@ -186,7 +188,7 @@ def describe_gain(one: NamedEffect) -> str:
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
     if (dates := one.effective_dates) is not None and dates < FEW_DATES:
-        parts.append(f"nearly all of it on {_plural(max(round(dates), 1), 'date')}")
+        parts.append(f"nearly all of it on {count_things(max(round(dates), 1), 'date')}")
     return ", ".join(parts)
 
 
@@ -232,7 +234,7 @@ def describe_verdict(result: Diagnosis) -> list[str]:
     if (more := len(_list_named(result)) - MOST_NAMED) > 0:
         common.append(f"{more} more: see Missing effects.")
     if result.unknown:
-        common.append(f"{_plural(len(result.unknown), 'cause')} outside the library: see Remaining error.")
+        common.append(f"{count_things(len(result.unknown), 'cause')} outside the library: see Remaining error.")
     episode = describe_leading_episode(result)
     leads = found is not None and find_leading(result) is found
     return [*episode, *finding, *common] if leads else [*episode, *common, *finding]
@@ -317,9 +319,11 @@ def describe_competition(result: Diagnosis) -> list[str]:
 
 def describe_missing_effect(one: NamedEffect) -> list[str]:
     """Return all statements about a missing effect, the most important first."""
+    others = describe_causes([each for each in one.causes if each.effect != one.effect], MOST_CAUSES - 1)
+    chance = f"missing with a probability of {format_chance(one.probability)}"
     lines = [
         f"{one.words or one.name}; {describe_scope(one)}",
-        _describe_probability(one),
+        f"{chance}{f'; or else {others}' if others else ''}",
         describe_gain(one),
         describe_coefficient(one.coefficient),
         *describe_rivals(one),
@@ -327,13 +331,6 @@ def describe_missing_effect(one: NamedEffect) -> list[str]:
     if one.equivalents:
         lines.append(f"equal in energy, while it acts, to {' or '.join(one.equivalents)}")
     return [line for line in lines if line]
-
-
-def _describe_probability(one: NamedEffect) -> str:
-    """Return the probability that an effect is missing, and the others that explain the same."""
-    others = describe_causes([each for each in one.causes if each.effect != one.effect], MOST_CAUSES - 1)
-    words = f"missing with a probability of {format_chance(one.probability)}"
-    return f"{words}{f'; or else {others}' if others else ''}"
 
 
 def describe_remainder(result: Diagnosis) -> list[str]:
@@ -463,10 +460,5 @@ def _list_doubts(one: NamedEffect) -> list[str]:
     elif one.has_uncertain_gain:
         doubts.append("its gain on held-out days is not certain")
     if (dates := one.effective_dates) is not None and dates < FEW_DATES:
-        doubts.append(f"nearly all of it lies on {_plural(max(round(dates), 1), 'date')}")
+        doubts.append(f"nearly all of it lies on {count_things(max(round(dates), 1), 'date')}")
     return doubts
-
-
-def _plural(count: int, noun: str) -> str:
-    """Return a count with its noun."""
-    return f"{format_count(count)} {noun}{'' if count == 1 else 's'}"

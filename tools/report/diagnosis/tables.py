@@ -11,10 +11,9 @@ from socast.core.diagnose.records import (
     UnknownCause,
 )
 from socast.core.formatting import format_minus
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row
 from socast.tools.report.diagnosis import sentences
-from socast.tools.report.diagnosis.coefficient_words import format_unit
-from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
+from socast.tools.report.diagnosis.finding_words import format_unit
+from socast.tools.report.table import FORMATS, UNKNOWN, Cell, ReportTable, Row, format_digits, tabulate_records
 
 BIAS_NOTE: Final = (
     "Bias: mean of predicted less measured energy, less that of all other rides. Slices are found on one half of the "

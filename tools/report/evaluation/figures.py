@@ -12,7 +12,7 @@ from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
 from socast.core.evaluate.paper.records import AccessoryPoint, RecipeEvaluation
 from socast.core.formatting import format_minus, format_range
 from socast.core.vehicles import AccessoryCurve
-from socast.tools.report.cells import format_cluster
+from socast.tools.report.evaluation.held_out import SPLITS, compute_means_by_split
 from socast.tools.report.evaluation.result import (
     get_average_error,
     get_recipes,
@@ -21,7 +21,6 @@ from socast.tools.report.evaluation.result import (
     list_vehicle_models,
     select_principal,
 )
-from socast.tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
 from socast.tools.report.evaluation.use_tables import (
     AXES,
     LEAST_COVERAGE,
@@ -47,7 +46,9 @@ from socast.tools.report.figure_style import (
     get_vehicle_style,
     make_figure,
     make_stacked_figure,
+    to_percent,
 )
+from socast.tools.report.table import format_cluster
 
 PERCENT_TICKS = (5, 10, 15, 20, 30, 40, 60, 80, 100, 150, 200)
 """Tick values of a logarithmic axis of shares. [%]"""
@@ -68,8 +69,7 @@ def draw_accessory_curve(result: RecipeEvaluation, vehicle_model: str) -> go.Fig
         traces.append(_points(power.points, look))
     if power.curve:
         traces += _five_segments(AccessoryCurve(**power.curve), look, [point.ambient_c for point in power.points])
-    made = make_figure(traces, 340)
-    made.update_xaxes(title_text="Outside temperature [°C]")
+    made = make_figure(traces, 340, x={"title_text": "Outside temperature [°C]"})
     powers = [0.0, *(y for trace in traces for y in trace.y)]
     room = 0.12 * (max(powers) - min(powers))
     made.update_yaxes(title_text="Climate and accessory power [kW]", range=[min(powers) - room, max(powers) + room])
@@ -131,8 +131,8 @@ def draw_relative_errors(result: RecipeEvaluation) -> go.Figure:
     made = make_stacked_figure(("here", PAPER_NAME), 680)
     for recipe in (name for name in get_recipes(result) if name in errors):
         look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
-        here = [_times(errors[recipe].get(c), 100.0) for c in columns]
-        theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
+        here = [to_percent(errors[recipe].get(c)) for c in columns]
+        theirs = [to_percent(published.get_relative_error(recipe, c)) for c in columns]
         made.add_trace(draw_curve(name, look, _label_clusters(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
             below = draw_curve(name, look, _label_clusters(columns), theirs, legendgroup=recipe, showlegend=False)
@@ -175,7 +175,7 @@ def draw_bands(result: RecipeEvaluation) -> go.Figure:
     names = [recipe for recipe in get_recipes(result) if recipe in result.bands]
     limits = list(dict.fromkeys(limit for recipe in names for limit in result.bands[recipe]))
     series = {
-        f"within ±{limit} %": [_times(result.bands[recipe].get(limit), 100.0) for recipe in names] for limit in limits
+        f"within ±{limit} %": [to_percent(result.bands[recipe].get(limit)) for recipe in names] for limit in limits
     }
     return _draw_series(result, names, series, "Share of rides [%]")
 
@@ -194,11 +194,14 @@ def draw_buffers(result: RecipeEvaluation) -> go.Figure:
         )
         for i, share in enumerate(shares)
     ]
-    made = make_figure(traces, 90 + 44 * len(names))
+    made = make_figure(
+        traces,
+        90 + 44 * len(names),
+        x={"title_text": "Buffer [kWh]", "rangemode": "tozero"},
+        y={"title_text": "Model", "type": "category", "autorange": "reversed"},
+    )
     published_kwh = published.get_statement("buffer").value
     add_reference_line(made, f"{published_kwh:g} kWh: the paper's company (other data)", published_kwh)
-    made.update_xaxes(title_text="Buffer [kWh]", rangemode="tozero")
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
@@ -245,14 +248,14 @@ def draw_coverage(result: RecipeEvaluation) -> go.Figure:
         values = {"overall": each.overall}
         values |= {escape_label(format_cluster(c)): each.cluster.get(c) for c in distances} | each.season
         values |= {escape_label(get_vehicle_name(key)): share for key, share in each.vehicle_model.items()}
-        shares = [_times(value, 100.0) for value in values.values()]
+        shares = [to_percent(value) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
-    made = make_figure(traces, 400)
-    made.update_layout(scattermode="group", scattergap=0.5)
+    made = make_figure(
+        traces, 400, scattermode="group", scattergap=0.5, x={"title_text": "Rides of", "type": "category"}
+    )
     for share in (NOMINAL, LEAST_COVERAGE):
         made.add_hline(y=100.0 * share, line=REFERENCE_LINE)
-    made.update_xaxes(title_text="Rides of", type="category")
     least = min((y for trace in traces for y in trace.y if y is not None), default=100.0)
     made.update_yaxes(title_text="Inside their 90 % interval [%]", range=[min(80.0, least - 2.0), 101.0])
     return made
@@ -275,25 +278,22 @@ def _by_model(
     result: RecipeEvaluation, names: Sequence[str], traces: list[Any], unit: str, row_height: int
 ) -> go.Figure:
     """Return a figure with one row of dots per model."""
-    made = make_figure(traces, 90 + row_height * len(names))
-    made.update_xaxes(title_text=unit, rangemode="tozero")
-    made.update_yaxes(
-        title_text="Model",
-        tickvals=list(range(len(names))),
-        ticktext=[format_recipe_label(result, recipe) for recipe in names],
-        range=[len(names) - 0.4, -0.6],
+    return make_figure(
+        traces,
+        90 + row_height * len(names),
+        x={"title_text": unit, "rangemode": "tozero"},
+        y={
+            "title_text": "Model",
+            "tickvals": list(range(len(names))),
+            "ticktext": [format_recipe_label(result, recipe) for recipe in names],
+            "range": [len(names) - 0.4, -0.6],
+        },
     )
-    return made
 
 
 def _offset(place: int, of: int) -> float:
     """Return the vertical offset of a dot within its row from its place among several dots."""
     return 0.7 * ((place + 0.5) / of - 0.5)
-
-
-def _times(value: float | None, factor: float) -> float | None:
-    """Return the product of a value and a factor, None where the value is unknown."""
-    return None if value is None else value * factor
 
 
 def _label_clusters(columns: Sequence[str]) -> list[str]:

@@ -1,16 +1,16 @@
 """Build the tables of errors in percent, over the noise floor, below the baselines, and beside the literature."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Final
 
 from socast.core.evaluate.literature import LITERATURE
 from socast.core.evaluate.paper.published import AVERAGE
-from socast.core.evaluate.paper.records import PercentageErrors, RecipeEvaluation, SplitErrors
+from socast.core.evaluate.paper.records import PercentageErrors, RecipeEvaluation
 from socast.core.evaluate.records import EstimatedValue, RelativeErrors
 from socast.core.fit.recipes import BASELINES
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent
 from socast.tools.report.evaluation.result import (
     compute_mean,
     find_least,
@@ -19,7 +19,17 @@ from socast.tools.report.evaluation.result import (
     get_title,
     list_vehicle_models,
 )
-from socast.tools.report.record_table import FORMATS, tabulate_records
+from socast.tools.report.table import (
+    FORMATS,
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    format_energy,
+    format_percent,
+    keep_filled,
+    tabulate,
+    tabulate_records,
+)
 
 HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
     {"ride": "unseen rides", "vehicle": "unseen cars", "date": "unseen dates"}
@@ -56,12 +66,11 @@ FLOOR_NOTE: Final = (
 
 def tabulate_percentages(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables of reductions, of percentage errors by what was held out, and of the literature."""
-    tables = [
+    shown = keep_filled(
         tabulate_baseline_reductions(result),
         tabulate_baseline_reductions(result, new_vehicles=True),
         *(tabulate_percentages_of(result, kind) for kind in HELD_OUT),
-    ]
-    shown = [table for table in tables if table.rows]
+    )
     return [*shown, tabulate_literature(result)] if result.percentage != PercentageErrors() else shown
 
 
@@ -99,37 +108,40 @@ def tabulate_baseline_reductions(result: RecipeEvaluation, *, new_vehicles: bool
         Whether the errors are those on vehicle models left out of training, instead of those by ride.
     """
     reduce = get_new_vehicle_reductions if new_vehicles else get_reductions
-    by_recipe = {recipe: reduce(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
-    present = list_known_baselines(by_recipe.values())
-    rows = tuple(
-        Row(
-            get_title(result, recipe),
-            tuple(Cell("" if name == recipe else format_percent(shares[name])) for name in present),
-        )
-        for recipe, shares in by_recipe.items()
-        if list_known_baselines([shares])
-    )
+    shares = [(recipe, reduce(result, recipe)) for recipe in get_recipes(result) if recipe != BASELINES[0]]
     where = "vehicle model unseen" if new_vehicles else "unseen rides"
-    return make_baseline_table(f"Error below each baseline, {where}", present, rows)
+    rows = [(get_title(result, recipe), (recipe, known)) for recipe, known in shares]
+    return tabulate_below_baselines(f"Error below each baseline, {where}", rows)
 
 
-def list_known_baselines(shares: Iterable[Mapping[str, float | None]]) -> list[str]:
-    """Return the baselines below which the reduction of any model is known."""
-    known = {name for each in shares for name, share in each.items() if share is not None}
-    return [name for name in BASELINES if name in known]
+def tabulate_below_baselines(
+    title: str,
+    rows: Sequence[tuple[str, tuple[str, Mapping[str, float | None]]]],
+    paper: Callable[[str, str], str] = lambda _recipe, _baseline: "",
+) -> ReportTable:
+    """Return a table of the known reductions of recipes, a column for each baseline, and notes that explain these."""
+    known = [(name, of) for name, of in rows if any(share is not None for share in of[1].values())]
+    present = [name for name in BASELINES if any(shares[name] is not None for _, (_, shares) in known)]
 
+    def make_cell(baseline: str, of: tuple[str, Mapping[str, float | None]]) -> Cell:
+        recipe, shares = of
+        return Cell("" if baseline == recipe else format_percent(shares[baseline]), paper(recipe, baseline))
 
-def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, ...]) -> ReportTable:
-    """Return a table of reductions with one column per baseline, and notes that explain these baselines."""
-    heads = tuple(f"below {BASELINE_HEADS[name]}" for name in baselines)
-    explained = " ".join(BASELINE_NOTES[name] for name in baselines)
+    columns = [(f"below {BASELINE_HEADS[name]}", partial(make_cell, name)) for name in present]
+    explained = " ".join(BASELINE_NOTES[name] for name in present)
     notes = ("Mean over vehicle models of the reduction of the average error.", explained)
-    return ReportTable(title, "model", heads, rows, notes)
+    return tabulate(title, "model", known, columns, notes)
 
 
 def tabulate_percentages_of(result: RecipeEvaluation, kind: str) -> ReportTable:
     """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split."""
-    figures = result.percentage.get_split(kind)
+    figures, least_kwh = result.percentage.get_split(kind), result.percentage.least_energy_kwh
+    rides = (
+        f"Mean energy of a ride {format_energy(figures.energy_kwh)} kWh; measurement noise alone "
+        f"{format_energy(figures.noise_floor_kwh)} kWh. MAPE leaves out rides below "
+        f"{UNKNOWN if least_kwh is None else f'{least_kwh:g}'} kWh, {format_percent(figures.below_least)} of all, "
+        "whose relative error has no bound."
+    )
     errors = {recipe: figures.recipes[recipe] for recipe in get_recipes(result) if recipe in figures.recipes}
     least = min((each.mae_kwh.value for each in errors.values() if each.mae_kwh.value is not None), default=None)
     return tabulate_records(
@@ -138,43 +150,28 @@ def tabulate_percentages_of(result: RecipeEvaluation, kind: str) -> ReportTable:
         RelativeErrors,
         corner="model",
         label=partial(get_title, result),
-        notes=(PERCENT_NOTE, _describe_rides(result, figures), FLOOR_NOTE),
+        notes=(PERCENT_NOTE, rides, FLOOR_NOTE),
         strong=lambda name, _, value: name == "mae_kwh" and value.value is not None and value.value == least,
         formats={**FORMATS, "share": format_share, "ratio": format_ratio},
     )
 
 
-def _describe_rides(result: RecipeEvaluation, figures: SplitErrors) -> str:
-    """Return a note on the mean energy of the rides, on those that MAPE leaves out, and on the noise floor."""
-    least = result.percentage.least_energy_kwh
-    return (
-        f"Mean energy of a ride {format_energy(figures.energy_kwh)} kWh; measurement noise alone "
-        f"{format_energy(figures.noise_floor_kwh)} kWh. MAPE leaves out rides below "
-        f"{UNKNOWN if least is None else f'{least:g}'} kWh, {format_percent(figures.below_least)} of all, whose "
-        "relative error has no bound."
-    )
-
-
 def tabulate_literature(result: RecipeEvaluation) -> ReportTable:
     """Return the errors that other work published, above the best model here."""
-    rows = [
-        Row(entry.setting, (Cell(format_percent(entry.share)), Cell(entry.measure), Cell(entry.source)))
-        for entry in LITERATURE
-    ]
+    rows = [(each.setting, (format_percent(each.share), each.measure, each.source)) for each in LITERATURE]
     for kind, unseen in HELD_OUT.items():
         errors = result.percentage.get_split(kind).recipes
-        best = find_least({recipe: each.wmape.value for recipe, each in errors.items()})
-        if best is not None:
+        if (best := find_least({recipe: each.wmape.value for recipe, each in errors.items()})) is not None:
             text = f"{format_percent(errors[best].wmape)} / {format_percent(errors[best].mape)}"
-            cells = (Cell(text), Cell("wMAPE / MAPE"), Cell(get_title(result, best)))
-            rows.append(Row(f"here, {unseen}", cells, total=True))
+            rows.append((f"here, {unseen}", (text, "wMAPE / MAPE", get_title(result, best))))
     note = (
         "Other fleets, trips and measures than these, for orientation only. Longer trips have smaller relative errors; "
         "errors on a simulated fleet are smaller than on a real one."
     )
-    heads = ("error", "measure", "source, or model")
+    columns = [(head, itemgetter(i)) for i, head in enumerate(("error", "measure", "source, or model"))]
     sources = dict.fromkeys(f"{entry.source}: {entry.publication}, {entry.link}." for entry in LITERATURE)
-    return ReportTable("Beside the literature", "vehicles", heads, tuple(rows), (note, *sources))
+    totals = [f"here, {unseen}" for unseen in HELD_OUT.values()]
+    return tabulate("Beside the literature", "vehicles", rows, columns, (note, *sources), totals=totals)
 
 
 def format_share(estimate: EstimatedValue) -> str:

@@ -4,16 +4,19 @@ Any part of a result may be empty: an evaluation of few rides has no few-shot cu
 no coverage. Reports leave empty parts out.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
-from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
 from socast.core.evaluate.paper.records import NewVehicleErrors, RecipeEvaluation
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.vehicles import load_catalogue
-from socast.tools.report.cells import Figure, get_value
+from socast.tools.report.table import Cell, Figure, get_value
 
+Column = tuple[str, Callable[[str], Cell]]
+"""Heading of a column of a table, and the function of a recipe that makes its cells."""
 FITTED: Final = "fitted_physical"
 """Recipe of the fitted physical model, the reference for errors on a new vehicle model."""
 WAYS: Final[Mapping[str, str]] = MappingProxyType(
@@ -32,6 +35,8 @@ SEGMENTS: Final = "segment_network"
 """Recipe of the segment model, a reference that is not among the paper's models."""
 ALL: Final = "all"
 """Key of all vehicle models together."""
+NAMES: Final = {ALL: "all vehicle models", WEIGHTED: "Weighted average"}
+"""Keys that are no vehicle model -> their names for readers."""
 NOT_CLUSTERS: Final = ("total", AVERAGE)
 """Columns beside the clusters of distance."""
 
@@ -54,6 +59,16 @@ def get_title(result: RecipeEvaluation, recipe: str) -> str:
     return get_recipes(result).get(recipe, recipe)
 
 
+def name_recipes(result: RecipeEvaluation, recipes: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the title and the recipe of models, for the rows of a table."""
+    return [(get_title(result, recipe), recipe) for recipe in recipes]
+
+
+def name_vehicle_models(result: RecipeEvaluation, make_cell: Callable[[str, str], Cell]) -> list[Column]:
+    """Return a column for each vehicle model, whose cells are made of the vehicle model and a recipe."""
+    return [(get_vehicle_name(key), partial(make_cell, key)) for key in list_vehicle_models(result)]
+
+
 def list_vehicle_models(result: RecipeEvaluation) -> list[str]:
     """Return the keys of the vehicle models, in the order of the result."""
     return result.about.vehicle_models or list(result.rides)
@@ -67,8 +82,8 @@ def get_vehicle_name(key: str) -> str:
     >>> get_vehicle_name("kia-soul-ev-2015"), get_vehicle_name("horse")
     ('Kia Soul EV 2015', 'horse')
     """
-    if key == ALL:
-        return "all vehicle models"
+    if key in NAMES:
+        return NAMES[key]
     known = load_catalogue().get(key)
     return known.name.partition(",")[0] if known else key
 

@@ -1,4 +1,4 @@
-"""Build the tables of an evaluation of state-of-charge forecasts: by time ahead, by condition, and by leg."""
+"""Build the tables of an evaluation of state-of-charge forecasts: by time ahead, condition and leg, and of the risk."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -6,27 +6,33 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from socast.core.evaluate.records import EstimatedValue
-from socast.core.evaluate.soc.baselines import BASELINES
+from socast.core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS, REGRESSION
 from socast.core.evaluate.soc.records import (
+    BaselineRisk,
     BestBaseline,
     ClusteredShare,
     ForecastFigures,
     RegressionIntervals,
+    RiskClass,
+    RiskFigures,
     SocEvaluation,
 )
+from socast.core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
-from socast.tools.report import record_table
-from socast.tools.report.cells import (
+from socast.tools.report import table
+from socast.tools.report.evaluation.result import get_vehicle_name
+from socast.tools.report.table import (
     UNKNOWN,
     ReportTable,
     format_change,
+    format_count,
     format_difference,
     format_estimate,
     format_percent,
+    keep_filled,
+    tabulate_records,
 )
-from socast.tools.report.evaluation.result import get_vehicle_name
-from socast.tools.report.record_table import tabulate_records
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType(
     {"linear": "pace", "model_mean": "kWh/km", "rating": "rating", "regression": "regression"}
@@ -65,6 +71,26 @@ BEST_NOTE: Final = (
     f"dash: fewer than {LEAST_CLUSTERS} vehicle-days, or 0 h ahead, when every baseline equals the "
     "display."
 )
+SHOWN: Final = ("1", "2")
+"""Times ahead at which alarms are shown. [h]"""
+LEVEL_NOTE: Final = (
+    f"Levels: {', '.join(map(str, LEVELS))} % for every shift. A case is a forecast and a level that the car was not "
+    "yet below. The risk is read from the interval, as two halves of a normal distribution that meet at the mean."
+)
+ALARM_NOTE: Final = (
+    f"Alarm: a risk of {format_percent(ALARM, 0)} or more. Caught: cases that fell below and had an "
+    "alarm. False alarms: cases that had an alarm and did not fall below. Rows without either are left "
+    "out."
+)
+BRIER_NOTE: Final = (
+    "Brier score: mean square of risk less outcome. Skill: reduction of the baseline's score by the "
+    "forecast, ± half of its 95 % interval (clustered); 0 % is no better, 100 % is perfect."
+)
+PERSON_NOTE: Final = (
+    f"{'; '.join(f'{HEADS[name]}: {meaning}' for name, meaning in BASELINES.items())}. The risk of a "
+    f"baseline follows from its earlier errors, once {LEAST_ERRORS} shifts have ended. The forecast is "
+    "evaluated on the same cases."
+)
 
 
 def format_share(share: ClusteredShare) -> str:
@@ -100,7 +126,7 @@ def format_skill(skill: EstimatedValue) -> str:
 
 FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
     {
-        **record_table.FORMATS,
+        **table.FORMATS,
         "charge": lambda value: format_estimate(value, 2),
         "difference": lambda value: format_difference(value, 2),
         "value": lambda estimate: format_estimate(estimate.value, 1),
@@ -109,7 +135,7 @@ FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
     }
 )
 """Formats of the fields of these tables."""
-tabulate: Final = partial(tabulate_records, formats=FORMATS, total="all")
+tabulate: Final = partial(tabulate_records, formats=FORMATS, totals=("all",))
 """Return a table of records of this evaluation."""
 
 
@@ -175,9 +201,9 @@ def tabulate_conditions(result: SocEvaluation) -> list[ReportTable]:
         more = [(f"MAE, {SHOWN_AT} h", errors), (f"to best, {SHOWN_AT} h", best)]
         options = {"fields": ("vehicle_days", *FIGURES), "more": more, "label": partial(format_bin, name)}
         groups = {part.bin: part.pooled for part in bins}
-        made = tabulate_figures(f"By {name}", f"{name}{UNITS.get(name, '')}", groups, notes, **options)
         if len(bins) > 1:
-            tables.append(made)
+            corner = f"{name}{UNITS.get(name, '')}"
+            tables.append(tabulate_figures(f"By {name}", corner, groups, notes, **options))
     return tables
 
 
@@ -203,3 +229,101 @@ def tabulate_legs(result: SocEvaluation) -> list[ReportTable]:
 def format_bin(condition: str, name: str) -> str:
     """Return the name of a bin of a condition, for readers."""
     return get_vehicle_name(name) if condition == "vehicle model" else format_minus(name)
+
+
+def describe_reserve(result: SocEvaluation) -> str:
+    """Return how many forecasts preceded a fall below the reserve, in words."""
+    pooled = result.reserve.levels.get(PLANNED, {}).get("pooled")
+    if pooled is None:
+        return "No plan named a reserve."
+    return (
+        f"{format_count(pooled.fell)} of {format_count(pooled.n)} forecasts were of shifts that later fell below the "
+        "reserve of their plan."
+    )
+
+
+def tabulate_risk(result: SocEvaluation) -> list[ReportTable]:
+    """Return the tables of the section."""
+    of_plan = tabulate_reliability(result, PLANNED, "Forecast risk of falling below the plan's reserve", ())
+    of_levels = tabulate_reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
+    rest = (tabulate_told(result), tabulate_alarms(result), tabulate_baselines(result))
+    return keep_filled(of_plan, of_levels, *rest)
+
+
+def _name_classes(classes: list[RiskClass]) -> dict[str, RiskClass]:
+    """Return classes of risk by their edges."""
+    return {f"{format_percent(each.low, 0)} to {format_percent(each.high, 0)}": each for each in classes}
+
+
+def tabulate_reliability(result: SocEvaluation, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
+    """Return how often shifts fell below levels, by forecast risk."""
+    classes = _name_classes(result.reserve.reliability.get(key, []))
+    return tabulate(title, classes, RiskClass, corner="risk", notes=(*notes, SHARE_NOTE))
+
+
+def tabulate_told(result: SocEvaluation) -> ReportTable:
+    """Return how often shifts fell below levels by coarser classes of risk, beside the risk of the regression."""
+    ours, theirs = (_name_classes(result.reserve.told.get(name, [])) for name in ("risk", REGRESSION))
+    rows = [(name, name) for name in ours if theirs]
+    return table.tabulate(
+        "Risk beside that of the regression",
+        "risk",
+        rows,
+        [
+            ("cases", lambda name: format_count(ours[name].n)),
+            ("fell below", lambda name: format_share(ours[name].fell)),
+            ("cases, regression", lambda name: format_count(theirs[name].n if name in theirs else 0)),
+            ("fell below, regression", lambda name: format_share(theirs[name].fell) if name in theirs else UNKNOWN),
+        ],
+        (LEVEL_NOTE, SHARE_NOTE),
+    )
+
+
+def tabulate_alarms(result: SocEvaluation) -> ReportTable:
+    """Return the performance of alarms, by level and time ahead."""
+    pooled = f"{LEVELS[0]} to {LEVELS[-1]} %"
+    groups = {
+        "the plan's reserve" if level == PLANNED else f"{level} %": by_hours
+        for level, by_hours in result.reserve.levels.items()
+    }
+    shown = {
+        f"{name}, {hours} h": by_hours[hours]
+        for name, by_hours in {**groups, pooled: result.reserve.overall}.items()
+        for hours in SHOWN
+        if hours in by_hours and (by_hours[hours].fell or by_hours[hours].alarms.false_alarms)
+    }
+    alarms = [each.alarms for each in shown.values()]
+    more = (
+        ("caught", [_counted(each.caught, each.hit_rate) for each in alarms]),
+        ("missed", [format_count(each.missed) for each in alarms]),
+        ("false alarms", [_counted(each.false_alarms, each.false_alarm_rate) for each in alarms]),
+    )
+    notes, totals = (ALARM_NOTE, SHARE_NOTE), [name for name in shown if name.startswith(f"{pooled},")]
+    corner = "level, before the end"
+    return tabulate("Alarms", shown, RiskFigures, corner=corner, more=more, notes=notes, totals=totals)
+
+
+def _counted(some: int, share: ClusteredShare) -> str:
+    rate = format_share(share)
+    return UNKNOWN if rate == UNKNOWN else f"{format_count(some)}: {rate}"
+
+
+def tabulate_baselines(result: SocEvaluation) -> ReportTable:
+    """Return the scores of the risk beside those of the baselines."""
+    groups = {
+        f"{HEADS[name]}, {hours} h": group
+        for hours in SHOWN
+        for name, group in (result.reserve.overall[hours].baselines if hours in result.reserve.overall else {}).items()
+        if group.fell
+    }
+    more = [
+        (
+            f"{words}, baseline" if whose == "alarms" else "forecast",
+            [format_count(getattr(getattr(group, whose), what)) for group in groups.values()],
+        )
+        for what, words in (("caught", "caught"), ("false_alarms", "false alarms"))
+        for whose in ("alarms", "forecast_alarms")
+    ]
+    title, corner = "Forecast risk against baselines", "baseline, before the end"
+    notes = (PERSON_NOTE, BRIER_NOTE, LEVEL_NOTE)
+    return tabulate(title, groups, BaselineRisk, corner=corner, more=more, notes=notes)

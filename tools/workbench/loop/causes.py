@@ -12,7 +12,7 @@ from socast.core.errors import SocastError
 from socast.tools.commands.add import try_effect
 from socast.tools.commands.diagnose import parse_term
 from socast.tools.commands.effects import find_topic, make_effect_record
-from socast.tools.report.diagnosis.deviations import describe_deviation
+from socast.tools.report.diagnosis.finding_words import describe_deviation
 from socast.tools.report.diagnosis.sentences import (
     CAUSE_NAMES,
     describe_missing_effect,

@@ -3,7 +3,7 @@
 import msgspec
 
 from socast.core.evaluate.compare.records import Comparison
-from socast.tools.report.comparison.relative_tables import tabulate_relative_errors
+from socast.tools.report.comparison.tables import tabulate_relative_errors
 
 RESULT = msgspec.convert(
     {

@@ -9,6 +9,8 @@ from socast.core.evaluate.literature import LITERATURE
 from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.fit.recipes import BASELINES, RECIPES
+from socast.tools.report.document import Section, print_section
+from socast.tools.report.evaluation.page import tabulate_headline, tabulate_overview
 from socast.tools.report.evaluation.percentage_tables import (
     BASELINE_HEADS,
     BASELINE_NOTES,
@@ -20,8 +22,6 @@ from socast.tools.report.evaluation.percentage_tables import (
     tabulate_percentages,
     tabulate_percentages_of,
 )
-from socast.tools.report.evaluation.sections import Section, tabulate_headline, tabulate_overview
-from socast.tools.report.evaluation.terminal import print_section
 from tests.support.evaluation_result import evaluation, hold
 
 

@@ -1,10 +1,16 @@
-"""Define the tables of a report before they are printed or become HTML, and format their figures."""
+"""Define the tables of a report before they are printed or become HTML, make them of records, and format figures."""
 
-from typing import Final, NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, TypeVar
 
 from socast.core.evaluate.paper.published import PublishedFigure
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.formatting import format_minus, format_range
+from socast.core.records import Record, Shown, list_shown
+
+Item = TypeVar("Item")
 
 PAPER_NOTE: Final = (
     "In parentheses: figures of the paper. They are from other data (the rides of one company), for orientation only."
@@ -28,11 +34,14 @@ class Cell(NamedTuple):
         Figure of the paper; empty where there is none.
     strong : bool
         Whether the cell is emphasised, as the best of its column is.
+    value : float, optional
+        Number by which `tabulate` finds the least of a column.
     """
 
     text: str
     paper: str = ""
     strong: bool = False
+    value: float | None = None
 
 
 class Row(NamedTuple):
@@ -214,9 +223,138 @@ def format_cluster(cluster: str) -> str:
     return f"{format_range(cluster)} km"
 
 
-def mark_least(cells: list[Cell], values: list[float | None]) -> list[Cell]:
-    """Return the cells of a column, with those of the least value emphasised."""
-    least = min((value for value in values if value is not None), default=None)
-    return [
-        cell._replace(strong=value is not None and value == least) for cell, value in zip(cells, values, strict=True)
+def format_digits(value: float | None, digits: int = 3) -> str:
+    """Return a number with significant digits.
+
+    Examples
+    --------
+    >>> format_digits(0.06234), format_digits(-1.0), format_digits(None)
+    ('0.0623', '−1', '–')
+    """
+    return UNKNOWN if value is None else format_minus(f"{value:.{digits}g}")
+
+
+FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
+    {
+        "text": lambda value: UNKNOWN if value in {None, ""} else str(value),
+        "names": lambda value: ", ".join(value) or UNKNOWN,
+        "scope": lambda value: ", ".join(value) or "all",
+        "number of": lambda value: format_count(len(value)),
+        "count": format_count,
+        "energy": format_energy,
+        "estimate": format_estimate,
+        "difference": format_difference,
+        "difference, one decimal": lambda value: format_difference(value, 1),
+        "difference, four decimals": lambda value: format_difference(value, 4),
+        "four decimals": lambda value: format_estimate(value, 4),
+        "probability": format_probability,
+        "percent": format_percent,
+        "chance": format_chance,
+        "whole percent": lambda value: format_percent(value, 0),
+        "fine percent": lambda value: format_percent(value, 2),
+        "signed percent": lambda value: UNKNOWN if value is None else format_minus(f"{100.0 * value:+.1f} %"),
+        "signed": format_signed,
+        "score": lambda value: format_signed(value, 1),
+        "three digits": format_digits,
+        "two digits": lambda value: format_digits(value, 2),
+    }
+)
+"""Formats that a field can declare, see `socast.core.records.declare`."""
+
+
+def tabulate(
+    title: str,
+    corner: str,
+    rows: Sequence[tuple[str, Item]],
+    columns: Sequence[tuple[str, Callable[[Item], Cell | str]]],
+    notes: tuple[str, ...] = (),
+    *,
+    totals: Collection[str] = (),
+    links: Mapping[str, str] = MappingProxyType({}),
+) -> ReportTable:
+    """Return a table of a cell for each row and column, in which the least value of a column is emphasised.
+
+    Parameters
+    ----------
+    rows : sequence of (str, item)
+        Name of each row, and what its cells are made of.
+    columns : sequence of (str, callable)
+        Heading of each column, and the function that makes its cells.
+    totals : collection of str
+        Names of the rows that sum up others.
+    links : mapping of str to str
+        Name of a row -> id that it links to.
+    """
+    cells = [[cell if isinstance(cell := make(item), Cell) else Cell(cell) for _, item in rows] for _, make in columns]
+    least = [min((cell.value for cell in column if cell.value is not None), default=None) for column in cells]
+    shown = tuple(
+        Row(
+            name,
+            tuple(
+                cell._replace(strong=cell.value == low, value=None) if cell.value is not None else cell
+                for cell, low in zip((column[i] for column in cells), least, strict=True)
+            ),
+            total=name in totals,
+            link=links.get(name, ""),
+        )
+        for i, (name, _) in enumerate(rows)
+    )
+    return ReportTable(title, corner, tuple(head for head, _ in columns), shown, notes)
+
+
+def keep_filled(*tables: ReportTable) -> list[ReportTable]:
+    """Return the tables that have a row."""
+    return [table for table in tables if table.rows]
+
+
+def tabulate_records(
+    title: str,
+    records: Sequence[Record] | Mapping[str, Record],
+    kind: type[Record],
+    *,
+    corner: str = "",
+    fields: Sequence[str] = (),
+    more: Sequence[tuple[str, Sequence[str]]] = (),
+    label: Callable[[str], str] = str,
+    notes: tuple[str, ...] = (),
+    strong: Callable[[str, int, Any], bool] = lambda *_: False,
+    numbered: bool = False,
+    formats: Mapping[str, Callable[[Any], str]] = FORMATS,
+    **options: Any,
+) -> ReportTable:
+    """Return a table with a row for each record and a column for each field that declares a head.
+
+    Parameters
+    ----------
+    records : sequence or mapping of Record
+        The keys of a mapping name the rows, below the head `corner`; otherwise the first field with a head does.
+    more : sequence of (str, sequence of str)
+        Heads of columns after those of fields, and the texts of their cells.
+    strong : callable
+        Function of the field, the place of the record and its value that returns whether a cell is emphasised.
+    """
+    shown_fields = list_shown(kind)
+    columns = [(name, shown_fields[name]) for name in fields or shown_fields]
+    if not isinstance(records, Mapping):
+        (first, head), *columns = columns
+        corner, named = head.head, [(str(getattr(each, first)), each) for each in records]
+    else:
+        named = list(records.items())
+
+    def make_cell(name: str, shown: Shown, placed: tuple[int, Record]) -> Cell:
+        place, record = placed
+        value = getattr(record, name)
+        text = formats[shown.format](value)
+        if limits := getattr(record, shown.interval, None) if shown.interval else None:
+            half = (limits[1] - limits[0]) / 2.0
+            share = text.removesuffix(" %")
+            text = f"{text} ± {half:.2g}" if share == text else f"{share} ± {100.0 * half:.2g} %"
+        return Cell(text, strong=strong(name, place, value))
+
+    rows = [
+        (f"{f'{place}. ' if numbered else ''}{label(name)}", (place, record))
+        for place, (name, record) in enumerate(named, start=1)
     ]
+    of_fields = [(shown.head, partial(make_cell, name, shown)) for name, shown in columns]
+    others = [(head, lambda placed, texts=texts: texts[placed[0] - 1]) for head, texts in more]
+    return tabulate(title, corner, rows, [*of_fields, *others], notes, **options)
