@@ -21,13 +21,11 @@ import pandas as pd
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from socast.core.fit.block_sums import build_design
-from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.nested_effects import SHARED, integrate_car_factor
-from socast.core.fit.priors import LEVELS, compute_curve_columns, is_curved
+from socast.core.fit.priors import LEVELS, is_curved
 from socast.core.fit.records import Determination
-from socast.core.fit.window_problem import GroupRows
-from socast.core.fit.window_solver import GroupFit
+from socast.core.fit.window_fit import build_prediction_columns
+from socast.core.fit.window_solver import GroupFit, GroupRows
 from socast.core.models import Term
 from socast.core.models.features import EFFECT_PREFIX, Columns
 from socast.core.vehicles.fleet import CarParameters
@@ -177,11 +175,7 @@ def _inform(
     minutes = min(max(round(60.0 * float(np.mean(hours))), 1), MINUTES)
     table = _simulate_drive(plain, figures, minutes, drive)
     columns = Columns(table)
-    parts = [build_design(plain, columns, len(table)), np.zeros((len(table), len(DISTORTIONS)))]
-    if fitted.curve is not None:
-        time = table["duration_s"].to_numpy() * table["accessory_scale"].to_numpy() / JOULES_PER_KWH
-        parts.append(compute_curve_columns(fitted.curve, table["ambient_c"].to_numpy()) * time[:, np.newaxis])
-    design = np.column_stack(parts)
+    design, _ = build_prediction_columns(plain, columns, len(table), fitted.curve)
     weight = fitted.products.sums[:, -2, -2].sum() / float(hours @ hours)  # the mean weight of a row of the fit
     spreads = fitted.spreads
     shared = np.column_stack(

@@ -327,6 +327,12 @@ def _read_names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
     return np.array([*map(str, names), ""], dtype=object)[place]
 
 
+def group_by_name(names: Sequence[str] | NDArray[Any]) -> dict[str, Ints]:
+    """Return the rows of each name, such as a vehicle model, with the names in their order."""
+    code, known = pd.factorize(np.asarray(names, dtype=object), sort=True)
+    return {name: np.flatnonzero(code == i) for i, name in enumerate(known)}
+
+
 def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Return columns of rides as arrays, which take less time to read than those of a table."""
     numbers = {name: get_numbers(block, name) for name in columns if name not in NAMES}

@@ -221,8 +221,7 @@ class MixedModel:
     def _sum_squares(self, step: SweepStep, level: "_Level") -> Floats:
         """Return the sums of N'BN over the units of a level, at the places of the coefficients."""
         if level.is_global:
-            wide = step.beside.shape[2]
-            return np.asarray(step.beside.reshape(-1, wide).T @ step.gain.reshape(-1, wide))
+            return step.taken
         k = step.beside.shape[2]
         edges = level.edges
         sums = np.empty((len(edges) - 1, k, k))

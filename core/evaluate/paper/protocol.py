@@ -26,7 +26,7 @@ from socast.core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progres
 from socast.core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from socast.core.fit.recipes import RECIPES
 from socast.core.fit.segment_network import SegmentRecipe, build_segments
-from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
 from socast.core.models.features import list_raw_columns
 from socast.core.stats.scores import compute_bias, compute_rmse, compute_widening
@@ -57,7 +57,7 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
     if windows is not None:
         for name, recipe in RECIPES.items():
             if isinstance(recipe, WindowRecipe):
-                known[name] = RecipeWithWindows(recipe, windows)
+                known[name] = recipe.bind(windows)
         known[SEGMENTS] = SegmentRecipe(build_segments(windows), seed)
     if names is None:
         return known

@@ -12,8 +12,18 @@ from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.priors import build_curve, flatten_curve
 from socast.core.fit.recipes import get_recipe
 from socast.core.fit.window_fit import gather_rows
-from socast.core.fit.window_problem import GroupRows, Problem, State, move, shift_prior, sum_windows
-from socast.core.fit.window_solver import INDEPENDENT, SMALL_STEP, GroupFit, solve_group
+from socast.core.fit.window_solver import (
+    INDEPENDENT,
+    SMALL_STEP,
+    GroupFit,
+    GroupRows,
+    Problem,
+    State,
+    move,
+    shift_prior,
+    solve_group,
+    sum_windows,
+)
 from socast.core.vehicles import ACCESSORIES
 from tests.support.synthetic_windows import make_tables, make_windows
 
