@@ -18,7 +18,7 @@ import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.columns import JOULES_PER_KWH
-from socast.core.fit.ride_blocks import get_numbers
+from socast.core.fit.ride_blocks import get_numbers_if_present
 
 DISTORTED_COLUMNS: Final = ("power_start_w", "power_end_w", "unresolved_braking_kwh")
 """Columns of the tables from which the distortions are computed; a ride table has the last one only."""
@@ -47,10 +47,5 @@ def gather_distortions(table: pd.DataFrame) -> Floats:
     (n, 2) float
         Change of the power from the first to the last sample [kWh/s]; estimate of the unresolved braking energy [kWh].
     """
-    start, end, unresolved = (_read(table, name) for name in DISTORTED_COLUMNS)
+    start, end, unresolved = (get_numbers_if_present(table, name, 0.0) for name in DISTORTED_COLUMNS)
     return np.column_stack([np.nan_to_num(end - start) / JOULES_PER_KWH, np.nan_to_num(unresolved)])
-
-
-def _read(table: pd.DataFrame, name: str) -> Floats:
-    """Return a column, zero where the table does not have it."""
-    return get_numbers(table, name) if name in table else np.zeros(len(table))

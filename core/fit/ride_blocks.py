@@ -316,6 +316,11 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
         raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables again") from error
 
 
+def get_numbers_if_present(block: pd.DataFrame, name: str, absent: float = np.nan) -> Floats:
+    """Return a column as float, filled with `absent` where the table does not have it."""
+    return get_numbers(block, name) if name in block else np.full(len(block), absent)
+
+
 def get_names(block: pd.DataFrame, column: str) -> list[str]:
     """Return a column of text."""
     return _read_names(block, column).tolist() if column in block else [""] * len(block)

@@ -31,7 +31,7 @@ from socast.core.evaluate.compare.records import (
 from socast.core.evaluate.paper.held_out import word_limited
 from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
-from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
+from socast.core.evaluate.ride_filter import compute_instrument_shares, find_exclusion_reasons, name_rides
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.formatting import format_count
@@ -222,11 +222,7 @@ def describe_rides(compared: ComparedRides) -> RideSample:
         vehicle_models=sorted(rides["vehicle_model"].unique()),
         first_date=str(rides["date"].min()),
         last_date=str(rides["date"].max()),
-        measured={
-            name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-            for name in ("vi", "soc")
-            if f"energy_{name}_kwh" in rides
-        },
+        measured=compute_instrument_shares(rides),
         noise_floor_kwh=compared.noise_floor,
         below_least=compute_share_below_least(compared.measured),
         consumption_kwh=hold_estimate(compute_clustered_mean(compared.measured, compared.clusters)),
@@ -245,7 +241,7 @@ def compute_errors(compared: ComparedRides, predicted: Floats) -> PredictionErro
         rmse_kwh=scores.compute_rmse(compared.measured, predicted),
         relative=errors.wmape.value,
         relative_bias=_divide_by_mean(off.value, compared.measured),
-        within={**scores.compute_band_shares(compared.measured, predicted)},
+        within=scores.compute_band_shares(compared.measured, predicted),
         **msgspec.structs.asdict(errors),
     )
 

@@ -1,15 +1,16 @@
 """Compute errors by vehicle model, distance, temperature, season and driver, and the coverage of intervals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import msgspec
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
 
 from socast.core.batch import Floats
-from socast.core.evaluate.binning import Binning, bin_seasons
-from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.binning import Binning, bin_names, bin_seasons, bin_values
+from socast.core.evaluate.paper.held_out import HeldOutPredictions, Measured
 from socast.core.evaluate.paper.records import BinErrors, IntervalCoverage, Numbers
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
 from socast.core.stats import scores
@@ -28,27 +29,10 @@ def bin_evaluated_rides(evaluated: EvaluatedRides) -> dict[str, Binning]:
     rides = evaluated.rides
     return {
         "distance": Binning(evaluated.cluster, CLUSTERS),
-        "temperature": _temperature(rides["ambient_c"].to_numpy(np.float64)),
+        "temperature": bin_values(rides["ambient_c"].to_numpy(np.float64), TEMPERATURES),
         "season": bin_seasons(rides["winter"].to_numpy(np.float64)),
-        "driver": _driver(rides),
+        "driver": bin_names(rides, "driver_id", LEAST_DRIVER_RIDES),
     }
-
-
-def _temperature(ambient_c: Floats) -> Binning:
-    """Return bins of 5 °C."""
-    names = [f"below {TEMPERATURES[0]}", *(f"{t} to {t + 5}" for t in TEMPERATURES[:-1]), f"from {TEMPERATURES[-1]}"]
-    codes = np.searchsorted(np.array(TEMPERATURES, dtype=np.float64), ambient_c, side="right")
-    return Binning(np.where(np.isnan(ambient_c), -1, codes).astype(np.int64), tuple(names))
-
-
-def _driver(rides: pd.DataFrame) -> Binning:
-    """Return a bin for each driver of `LEAST_DRIVER_RIDES` rides; none where drivers are unknown."""
-    if "driver_id" not in rides:
-        return Binning(np.full(len(rides), -1, dtype=np.int64), ())
-    count = rides["driver_id"].value_counts()
-    names = sorted(str(name) for name, n in count.items() if n >= LEAST_DRIVER_RIDES)
-    codes = pd.Index(names, dtype=object).get_indexer(pd.Index(rides["driver_id"], dtype=object))
-    return Binning(codes.astype(np.int64), tuple(names))
 
 
 def _enough(codes: Codes, rows: Codes) -> Codes:
@@ -63,56 +47,42 @@ def compute_errors_by_bin(held: HeldOutPredictions, evaluated: EvaluatedRides) -
 
     A ride that was held out in several repeats counts in each of them, so `n` is a number of predictions.
     """
-    rows = held.pooled
-    energy = evaluated.energy[rows]
-    return {
-        name: {
-            recipe: msgspec.convert(
-                scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels), list[BinErrors]
-            )
-            for recipe in held.recipes
-        }
-        for name, (codes, labels) in bin_evaluated_rides(evaluated).items()
-    }
+    errors = {}
+    for name, (codes, labels) in bin_evaluated_rides(evaluated).items():
+        measure = partial(scores.compute_bin_errors, groups=_enough(codes, held.pooled), labels=labels)
+        errors[name] = msgspec.convert(held.measure(evaluated, measure), dict[str, list[BinErrors]])
+    return errors
 
 
 def compute_errors_by_vehicle_model(
-    held: HeldOutPredictions, evaluated: EvaluatedRides, measure: Callable[[Floats, Floats], float]
+    held: HeldOutPredictions, evaluated: EvaluatedRides, measure: Callable[[Floats, Floats], float | None]
 ) -> Numbers:
     """Return an error of each recipe over the held-out rides of each vehicle model."""
-    energy, model = evaluated.energy[held.pooled], evaluated.model[held.pooled]
+    model = evaluated.model[held.pooled]
     rides_of = {name: model == i for i, name in enumerate(evaluated.vehicle_models)}
-    return {
-        recipe: {name: measure(energy[at], held.all_of(recipe)[at]) for name, at in rides_of.items()}
-        for recipe in held.recipes
-    }
+    return held.measure(evaluated, partial(_measure_groups, rides_of=rides_of, measure=measure))
 
 
-def compute_bands(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Numbers:
-    """Return the share of held-out rides that each recipe predicts within bands of relative error. [1]"""
-    energy = evaluated.energy[held.pooled]
-    return {recipe: {**scores.compute_band_shares(energy, held.all_of(recipe))} for recipe in held.recipes}
-
-
-def compute_buffers(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Numbers:
-    """Return the buffer of each recipe for each of `BUFFER_SHARES`. [kWh]"""
-    energy = evaluated.energy[held.pooled]
-    return {recipe: _buffers(energy, held.all_of(recipe)) for recipe in held.recipes}
+def compute_buffers(measured: Floats, predicted: Floats) -> dict[str, float | None]:
+    """Return the buffer for each of `BUFFER_SHARES`. [kWh]"""
+    return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in BUFFER_SHARES}
 
 
 def compute_buffers_by_cluster(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Numbers]:
     """Return the buffer of each recipe in each cluster of distance with enough rides. [kWh]"""
-    energy, cluster = evaluated.energy[held.pooled], _enough(evaluated.cluster, held.pooled)
+    cluster = _enough(evaluated.cluster, held.pooled)
     rides_of = {name: cluster == i for i, name in enumerate(CLUSTERS) if np.any(cluster == i)}
-    return {
-        recipe: {name: _buffers(energy[at], held.all_of(recipe)[at]) for name, at in rides_of.items()}
-        for recipe in held.recipes
-    }
+    return held.measure(evaluated, partial(_measure_groups, rides_of=rides_of, measure=compute_buffers))
 
 
-def _buffers(measured: Floats, predicted: Floats) -> dict[str, float | None]:
-    """Return the buffer for each of `BUFFER_SHARES`. [kWh]"""
-    return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in BUFFER_SHARES}
+def _measure_groups(
+    measured: Floats,
+    predicted: Floats,
+    rides_of: Mapping[str, NDArray[np.bool_]],
+    measure: Callable[[Floats, Floats], Measured],
+) -> dict[str, Measured]:
+    """Return a measure of each group of rides."""
+    return {name: measure(measured[at], predicted[at]) for name, at in rides_of.items()}
 
 
 def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, IntervalCoverage]:
@@ -132,12 +102,6 @@ def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRide
             width_kwh=float(np.mean(upper - lower)) if len(energy) else None,
         )
     return coverage
-
-
-def compute_overall_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, float]:
-    """Return the share of rides inside their interval, for each recipe with intervals. [1]"""
-    energy = evaluated.energy[held.pooled]
-    return {recipe: scores.compute_coverage(energy, *held.all_bounds(recipe)) for recipe in held.bounds}
 
 
 def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float | None]:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.evaluate.paper.held_out import (
@@ -16,7 +15,7 @@ from socast.core.evaluate.paper.held_out import (
     estimate_cells,
 )
 from socast.core.evaluate.paper.records import DifferenceScore, EvaluatedTable, Numbers, TestedDifference
-from socast.core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
+from socast.core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides, compute_instrument_shares
 from socast.core.stats import multiple_testing
 from socast.core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
 
@@ -51,18 +50,9 @@ def describe_evaluation(evaluated: EvaluatedRides, seed: int, repeats: int, test
         clusters=list(CLUSTERS[:SCORED_CLUSTERS]),
         first_date=str(dates.min()),
         last_date=str(dates.max()),
-        energy_source=_sources(evaluated.rides),
+        energy_source=compute_instrument_shares(evaluated.rides),
         vehicles=evaluated.rides["vehicle_id"].nunique(),
     )
-
-
-def _sources(rides: pd.DataFrame) -> dict[str, float | None]:
-    """Return the share of rides whose energy was measured by voltage and current, and by the state of charge."""
-    return {
-        name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-        for name in ("vi", "soc")
-        if f"energy_{name}_kwh" in rides
-    }
 
 
 def count_rides(evaluated: EvaluatedRides) -> dict[str, dict[str, int]]:

@@ -146,7 +146,21 @@ def find_removable_terms(
     names = np.array([term.name for term in terms])
     physical = np.array([term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN)) for term in terms])[varies]
     ranking = rank_terms(whole.part(halves.train), seed)
-    return _add_losses(ranking, names, varies, physical, whole.part(halves.test), seed, margin)
+    order, cut, varying = ranking.order, ranking.cut, names[varies]
+    last = order[np.argsort(physical[order], kind="stable")]
+    # the cost is measured on the rides that did not rank the terms
+    error, (price, *steps) = compute_losses(whole.part(halves.test), [cut, *_nest(order), *_nest(last)], seed)
+    by_order, by_margin = steps[: len(order)], steps[len(order) :]
+    worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in by_order]
+    too_much = [not loss.upper95 <= margin * error for loss in by_margin]
+    return RemovableTerms(
+        constant=names[~varies].tolist(),
+        rfecv=TermElimination(removed=varying[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
+        rfe=TermElimination(**_tabulate_steps(varying[order], by_order, worse)),
+        margin=TermElimination(
+            share=margin, largest=margin * error, error=error, **_tabulate_steps(varying[last], by_margin, too_much)
+        ),
+    )
 
 
 def rank_terms(rides: Design, seed: int) -> TermRanking:
@@ -165,32 +179,6 @@ def rank_terms(rides: Design, seed: int) -> TermRanking:
             TermScore(terms=int(n) - 1, mae=-float(mean))
             for n, mean in zip(results["n_features"], results["mean_test_score"], strict=True)
         ],
-    )
-
-
-def _add_losses(
-    ranking: TermRanking,
-    every: NDArray[np.str_],
-    varies: NDArray[np.bool_],
-    physical: NDArray[np.bool_],
-    design: Design,
-    seed: int,
-    margin: float,
-) -> RemovableTerms:
-    """Return the removable terms with their cost on rides that did not rank the terms."""
-    order, cut, names = ranking.order, ranking.cut, every[varies]
-    last = order[np.argsort(physical[order], kind="stable")]
-    error, (price, *steps) = compute_losses(design, [cut, *_nest(order), *_nest(last)], seed)
-    largest = margin * error
-    worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in steps[: len(order)]]
-    too_much = [not loss.upper95 <= largest for loss in steps[len(order) :]]
-    return RemovableTerms(
-        constant=every[~varies].tolist(),
-        rfecv=TermElimination(removed=names[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
-        rfe=TermElimination(**_tabulate_steps(names[order], steps[: len(order)], worse)),
-        margin=TermElimination(
-            share=margin, largest=largest, error=error, **_tabulate_steps(names[last], steps[len(order) :], too_much)
-        ),
     )
 
 
