@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.evaluate.ride_filter import CLUSTERS, assign_distance_clusters
 from socast.core.fit.ride_blocks import get_numbers_if_present
 from socast.core.stats.scores import Codes
@@ -54,6 +54,15 @@ def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
         "driver": bin_names(rides, "driver_id"),
     }
     return {name: bins for name, bins in made.items() if np.any(bins.codes >= 0)}
+
+
+def list_bins(rides: pd.DataFrame) -> list[tuple[str, str, Ints]]:
+    """Return property, label and rides of each bin of `bin_rides` that has a ride."""
+    return [
+        (name, labels[code], np.flatnonzero(codes == code))
+        for name, (codes, labels) in bin_rides(rides).items()
+        for code in np.unique(codes[codes >= 0]).tolist()
+    ]
 
 
 def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
-from socast.core.evaluate.binning import bin_values
+from socast.core.evaluate.binning import Binning, bin_names, bin_values
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
-from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
+from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines
 from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
 from socast.core.evaluate.soc.legs import MINUTES
 from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
@@ -129,7 +129,7 @@ def evaluate_soc(
         charges={name: compute_charge_figures(group) for name, group in charges.items()},
         columns=ForecastColumns(**columns),
         examples=select_examples(cases, outlooks),
-        notes=[*_notes(cases), *_warn_of_bounds(bounds)],
+        notes=_notes(cases, bounds),
     )
 
 
@@ -148,7 +148,7 @@ def compute_leg_figures(
     legs: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
 ) -> dict[str, list[ForecastBin]]:
     """Return the figures of single legs by the time until their end."""
-    cases = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
+    cases = pd.concat([legs, compute_baselines(legs, outlooks, shifts, plans)], axis=1)
     figures = {}
     later = cases[cases["charges"]]
     last = later.sort_values("leg", kind="stable").drop_duplicates(["vehicle_id", "time_s"], keep="last").sort_index()
@@ -175,18 +175,13 @@ def _bin_figures(cases: pd.DataFrame, codes: NDArray[Any], labels: Mapping[int, 
 
 def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[ConditionFigures]]:
     """Return the figures in the bins of each condition: weather, vehicle model, with and without a plan, and others."""
-    novelty = bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES)
-    seen = bin_values(cases["seen"].to_numpy(np.float64), SEEN)
-    fault = pd.Categorical(cases["fault"].replace("", HEALTHY))
-    band = bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
-    model = pd.Categorical(cases["vehicle_model"])
     bins = {
-        "temperature": (band.codes, band.labels),
-        "new weather": (novelty.codes, novelty.labels),
-        "shifts seen": (seen.codes, seen.labels),
-        "display": (fault.codes, tuple(map(str, fault.categories))),
-        "vehicle model": (model.codes, tuple(map(str, model.categories))),
-        "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
+        "temperature": bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES),
+        "new weather": bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES),
+        "shifts seen": bin_values(cases["seen"].to_numpy(np.float64), SEEN),
+        "display": bin_names(cases.assign(fault=cases["fault"].replace("", HEALTHY)), "fault"),
+        "vehicle model": bin_names(cases, "vehicle_model"),
+        "plan": Binning(np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
     }
     hours = cases["hours"].to_numpy(np.int64)
     return {
@@ -315,7 +310,7 @@ def _about(selected: ForecastCases) -> EvaluatedShifts:
     )
 
 
-def _notes(cases: pd.DataFrame) -> list[str]:
+def _notes(cases: pd.DataFrame, bounds: ImpossibleBounds) -> list[str]:
     """Return remarks for the reader."""
     notes = []
     if not cases["planned"].any():
@@ -323,15 +318,10 @@ def _notes(cases: pd.DataFrame) -> list[str]:
     unrated = sorted(set(cases.loc[cases["rating"].isna() & cases["ahead_km"].notna(), "vehicle_model"].astype(str)))
     if unrated:
         notes.append(f"no official rating is known of {', '.join(unrated)}")
+    if bounds.above:
+        above, largest = f"{bounds.above:,} of {bounds.n:,}", f"{bounds.largest:.1f} %"
+        notes.append(f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}")
     return notes
-
-
-def _warn_of_bounds(bounds: ImpossibleBounds) -> list[str]:
-    """Return a remark on upper bounds that no outcome can reach."""
-    if not bounds.above:
-        return []
-    above, largest = f"{bounds.above:,} of {bounds.n:,}", f"{bounds.largest:.1f} %"
-    return [f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}"]
 
 
 def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[ExampleShift]:
