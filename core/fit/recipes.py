@@ -322,9 +322,18 @@ def get_recipe(name: str) -> Recipe:
     return found
 
 
+def fit_recipe(
+    name: str, rides: pd.DataFrame, windows: pd.DataFrame | None = None, *, covariance: bool = True
+) -> LinearModel:
+    """Return the model of a recipe, fitted to rides, or to windows where it can be and they are given."""
+    recipe = get_recipe(name)
+    if windows is not None and isinstance(recipe, WindowRecipe):
+        recipe = recipe.bind(windows)
+    return recipe.fit(rides, covariance=covariance)
+
+
 def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
     """Return a recipe of physical terms fitted to windows."""
-    recipe = get_recipe(name)
-    if not isinstance(recipe, WindowRecipe):
+    if not isinstance(get_recipe(name), WindowRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose {', '.join(WINDOW_RECIPES)}")
-    return recipe.fit(rides, windows, covariance=covariance)
+    return fit_recipe(name, rides, windows, covariance=covariance)

@@ -13,11 +13,6 @@ def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
     return Term(name=name, columns=columns, unit="1")
 
 
-def _make_physical_fits(terms: tuple[Term, ...]) -> dict[str, Fit]:
-    """Return one fit for every vehicle model, with all coefficients 1."""
-    return {ANY: Fit(coefficients=(1.0,) * len(terms))}
-
-
 BASIC_TERMS: Final = (
     make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
     make_physical_term("climbing", ("effect_climbing",)),
@@ -31,7 +26,7 @@ BASIC_PHYSICAL: Final = LinearModel(
     version="1",
     recipe="basic_physical",
     terms=BASIC_TERMS,
-    fits=_make_physical_fits(BASIC_TERMS),
+    fits={ANY: Fit(coefficients=(1.0,) * len(BASIC_TERMS))},
 )
 """Basic physical model, eq. (1) and section 4.1 of the paper: energy at the wheels with the catalogue's parameters."""
 
@@ -40,7 +35,7 @@ EXTENDED_PHYSICAL: Final = LinearModel(
     version="1",
     recipe="extended_physical",
     terms=_EXTENDED_TERMS,
-    fits=_make_physical_fits(_EXTENDED_TERMS),
+    fits={ANY: Fit(coefficients=(1.0,) * len(_EXTENDED_TERMS))},
 )
 """Extended physical model, section 4.2 of the paper, with the reference accessory curve; `socast.core.fit` fits one."""
 

@@ -5,6 +5,7 @@ model, or a feature of its trees, names a derived column like one of the table.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -55,44 +56,24 @@ class DerivedColumn(NamedTuple):
     make: Callable[..., Floats]
 
 
-def compute_heating_need(ambient_c: Floats) -> Floats:
-    """Return how far the outside temperature is below `HEATING_BELOW`. [K]"""
-    return np.maximum(HEATING_BELOW - ambient_c, 0.0)
+def fall_below(limit: float, values: Floats) -> Floats:
+    """Return how far values are below a limit, 0 above it."""
+    return np.maximum(limit - values, 0.0)
 
 
-def compute_deep_cold(ambient_c: Floats) -> Floats:
-    """Return how far the outside temperature is below `DEEP_COLD_BELOW`. [K]"""
-    return np.maximum(DEEP_COLD_BELOW - ambient_c, 0.0)
+def rise_above(limit: float, values: Floats) -> Floats:
+    """Return how far values are above a limit, 0 below it."""
+    return np.maximum(values - limit, 0.0)
 
 
-def compute_cooling_need(ambient_c: Floats) -> Floats:
-    """Return how far the outside temperature is above `COOLING_ABOVE`. [K]"""
-    return np.maximum(ambient_c - COOLING_ABOVE, 0.0)
+def deviate_from(optimum: float, values: Floats) -> Floats:
+    """Return how far values are from an optimum, on either side."""
+    return np.abs(values - optimum)
 
 
-def compute_comfort_gap(ambient_c: Floats) -> Floats:
-    """Return how far the outside temperature is from `OPTIMAL_OUTSIDE`, on either side. [K]"""
-    return np.abs(ambient_c - OPTIMAL_OUTSIDE)
-
-
-def compute_warm_up_share(duration_s: Floats) -> Floats:
-    """Return the completed share of the warm-up of a cabin, 1 - exp(-t / `CABIN_WARM_UP`). [1]"""
-    return -np.expm1(-duration_s / CABIN_WARM_UP)
-
-
-def compute_soak_share(parked_s: Floats) -> Floats:
-    """Return the completed share of a parked car's approach to the outside temperature, 1 - exp(-t / `SOAK`). [1]"""
-    return -np.expm1(-parked_s / SOAK)
-
-
-def compute_battery_frost(battery_temperature_c: Floats) -> Floats:
-    """Return how far the battery's temperature at the start is below `BATTERY_FROST`. [K]"""
-    return np.maximum(BATTERY_FROST - battery_temperature_c, 0.0)
-
-
-def compute_battery_fullness(soc_start_pct: Floats) -> Floats:
-    """Return how far the state of charge at the start is above `BATTERY_FULL`. [%]"""
-    return np.maximum(soc_start_pct - BATTERY_FULL, 0.0)
+def approach(time_constant: float, time: Floats) -> Floats:
+    """Return the completed share of an exponential approach, 1 - exp(-t / time constant). [1]"""
+    return -np.expm1(-time / time_constant)
 
 
 def compute_sun_sine(start_s: Floats, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
@@ -153,14 +134,14 @@ DERIVED_COLUMNS: Final[Mapping[str, DerivedColumn]] = MappingProxyType(
         # cosine and sine, because 359 and 1 degree are neighbours
         "wind_from_north": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.cos(degrees * (np.pi / 180.0))),
         "wind_from_east": DerivedColumn(("wind_from_deg",), "1", lambda degrees: np.sin(degrees * (np.pi / 180.0))),
-        "heating_need_k": DerivedColumn(("ambient_c",), "K", compute_heating_need),
-        "deep_cold_k": DerivedColumn(("ambient_c",), "K", compute_deep_cold),
-        "cooling_need_k": DerivedColumn(("ambient_c",), "K", compute_cooling_need),
-        "comfort_gap_k": DerivedColumn(("ambient_c",), "K", compute_comfort_gap),
-        "warmed": DerivedColumn(("duration_s",), "1", compute_warm_up_share),
-        "soaked": DerivedColumn(("parked_s",), "1", compute_soak_share),
-        "battery_frost_k": DerivedColumn(("battery_temperature_c",), "K", compute_battery_frost),
-        "battery_fullness_pct": DerivedColumn(("soc_start_pct",), "percent", compute_battery_fullness),
+        "heating_need_k": DerivedColumn(("ambient_c",), "K", partial(fall_below, HEATING_BELOW)),
+        "deep_cold_k": DerivedColumn(("ambient_c",), "K", partial(fall_below, DEEP_COLD_BELOW)),
+        "cooling_need_k": DerivedColumn(("ambient_c",), "K", partial(rise_above, COOLING_ABOVE)),
+        "comfort_gap_k": DerivedColumn(("ambient_c",), "K", partial(deviate_from, OPTIMAL_OUTSIDE)),
+        "warmed": DerivedColumn(("duration_s",), "1", partial(approach, CABIN_WARM_UP)),
+        "soaked": DerivedColumn(("parked_s",), "1", partial(approach, SOAK)),
+        "battery_frost_k": DerivedColumn(("battery_temperature_c",), "K", partial(fall_below, BATTERY_FROST)),
+        "battery_fullness_pct": DerivedColumn(("soc_start_pct",), "percent", partial(rise_above, BATTERY_FULL)),
         "sun": DerivedColumn(_SUN, "1", compute_sun_sine),
         "basic_kwh": DerivedColumn(_BASIC, "kWh", compute_basic_energy),
         "size_kwh": DerivedColumn((*_ROLLING, "effect_accessories"), "kWh", compute_size),

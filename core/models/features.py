@@ -139,8 +139,12 @@ def get_unit(column: str) -> str:
     if column.startswith(EFFECT_PREFIX):
         declared = effects.get(column.removeprefix(EFFECT_PREFIX)).unit
         return "kWh" if declared == "1" else f"(kWh/({declared}))"
-    if is_scope(column):
-        _check_scope(column)
+    if column.startswith(SINCE_SCOPE):
+        parse_since(column)
+        return "1"
+    if column.startswith(VEHICLE_SCOPE):
+        if not column.removeprefix(VEHICLE_SCOPE).strip():
+            raise ModelError(f"scope {column!r} names no vehicle: write vehicle=ID, with an ID of the ride table")
         return "1"
     if column in DERIVED_COLUMNS:
         return DERIVED_COLUMNS[column].unit
@@ -149,14 +153,6 @@ def get_unit(column: str) -> str:
     if column.startswith(ANSWERS):
         raise ModelError(f"column {column!r} holds what is to be predicted: remove it from the model")
     raise ModelError(f"column {column!r} is not one that a model can read: name an effect_* or a ride-table column")
-
-
-def _check_scope(column: str) -> None:
-    """Refuse a scope that names no date, or no vehicle."""
-    if column.startswith(SINCE_SCOPE):
-        parse_since(column)
-    elif not column.removeprefix(VEHICLE_SCOPE).strip():
-        raise ModelError(f"scope {column!r} names no vehicle: write vehicle=ID, with an ID of the ride table")
 
 
 def derive_coefficient_unit(columns: tuple[str, ...]) -> str:

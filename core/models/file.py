@@ -5,7 +5,7 @@ from hashlib import sha256
 from itertools import chain, pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
@@ -24,28 +24,6 @@ def _format_json(content: bytes) -> bytes:
     """Return indented JSON for people, with each array of numbers on one line."""
     lines = msgspec.json.format(content, indent=2)
     return _NUMBERS.sub(lambda match: b"[" + b" ".join(match[1].split()) + b"]", lines) + b"\n"
-
-
-def _parse(content: bytes) -> Any:
-    """Return the JSON of a model file, after a check of its format.
-
-    Raises
-    ------
-    ModelError
-        Where the content is not JSON, is not a model, or has another format.
-    """
-    try:
-        raw = msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
-    format_ = raw.get("format") if isinstance(raw, dict) else None
-    if format_ is None or "terms" not in raw:
-        raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
-    if format_ != FORMAT:
-        raise ModelError(
-            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model again"
-        )
-    return raw
 
 
 def load(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
@@ -163,7 +141,17 @@ def decode_model(content: bytes) -> LinearModel:
     ModelError
         Where the content is not JSON, is not a model, has another format, or names an unknown column or effect.
     """
-    raw = _parse(content)
+    try:
+        raw = msgspec.json.decode(content)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
+    format_ = raw.get("format") if isinstance(raw, dict) else None
+    if format_ is None or "terms" not in raw:
+        raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
+    if format_ != FORMAT:
+        raise ModelError(
+            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model again"
+        )
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:

@@ -41,21 +41,21 @@ def test_units_are_known_to_pint(name):
 def test_cabin_is_never_heated_and_cooled_at_once(temperature):
     outside = np.array([temperature])
     heating, cooling = (
-        derived_features.compute_heating_need(outside)[0],
-        derived_features.compute_cooling_need(outside)[0],
+        DERIVED_COLUMNS["heating_need_k"].make(outside)[0],
+        DERIVED_COLUMNS["cooling_need_k"].make(outside)[0],
     )
     assert heating >= 0.0
     assert cooling >= 0.0
     assert heating * cooling == 0.0
-    assert derived_features.compute_deep_cold(outside)[0] <= heating
+    assert DERIVED_COLUMNS["deep_cold_k"].make(outside)[0] <= heating
 
 
 @given(time=st.floats(0.0, 1e7), more=st.floats(0.0, 1e6))
 def test_warm_up_and_soak_shares_rise_from_zero_to_one(time, more):
-    for made in (derived_features.compute_warm_up_share, derived_features.compute_soak_share):
+    for made in (DERIVED_COLUMNS["warmed"].make, DERIVED_COLUMNS["soaked"].make):
         early, late = made(np.array([time, time + more]))
         assert 0.0 <= early <= late <= 1.0
-    assert derived_features.compute_warm_up_share(np.array([derived_features.CABIN_WARM_UP]))[0] == pytest.approx(
+    assert DERIVED_COLUMNS["warmed"].make(np.array([derived_features.CABIN_WARM_UP]))[0] == pytest.approx(
         1.0 - np.exp(-1.0)
     )
 
@@ -83,5 +83,5 @@ def test_ride_without_motion_has_the_smallest_size():
 
 
 def test_battery_fullness_and_frost_start_at_their_thresholds():
-    assert derived_features.compute_battery_fullness(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
-    assert derived_features.compute_battery_frost(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]
+    assert DERIVED_COLUMNS["battery_fullness_pct"].make(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
+    assert DERIVED_COLUMNS["battery_frost_k"].make(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]
