@@ -129,4 +129,5 @@ def bin_names(rides: pd.DataFrame, column: str, least: int = 1) -> Binning:
     if column not in rides:
         return Binning(np.full(len(rides), -1, np.int64), ())
     names = sorted(str(name) for name, count in rides[column].value_counts().items() if count >= least)
-    return Binning(pd.Categorical(rides[column], categories=names).codes.astype(np.int64), tuple(names))
+    codes = pd.Index(names, dtype=object).get_indexer(pd.Index(rides[column], dtype=object))
+    return Binning(codes.astype(np.int64), tuple(names))

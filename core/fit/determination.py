@@ -21,8 +21,9 @@ import pandas as pd
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.fit.accessory_curve import LEVELS
 from socast.core.fit.nested_effects import SHARED, integrate_car_factor
-from socast.core.fit.priors import LEVELS, is_curved
+from socast.core.fit.priors import is_curved
 from socast.core.fit.records import Determination
 from socast.core.fit.window_fit import build_prediction_columns
 from socast.core.fit.window_solver import GroupFit, GroupRows

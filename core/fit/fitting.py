@@ -61,8 +61,14 @@ from socast.core.fit.records import FitStep
 from socast.core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
 from socast.core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
 from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from socast.core.models.derived_features import DERIVED_COLUMNS
-from socast.core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
+from socast.core.models.features import (
+    ACCESSORIES_COLUMN,
+    ACCESSORY_NEEDS,
+    DERIVED_COLUMNS,
+    EFFECT_PREFIX,
+    FEATURES,
+    list_raw_columns,
+)
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit
 from socast.core.vehicles import AccessoryCurve
 from socast.core.vehicles.fleet import CarParameters

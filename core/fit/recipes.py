@@ -20,10 +20,10 @@ from socast.core.errors import ModelError
 from socast.core.fit.block_sums import PassRunner
 from socast.core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from socast.core.fit.calibration import add_interval
-from socast.core.fit.distortions import DISTORTIONS_BESIDE_LOSSES
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.pooled import POOLED_RECIPES
 from socast.core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
+from socast.core.fit.row_noise import DISTORTIONS_BESIDE_LOSSES
 from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import BASIC_TERMS, HILLS_OF_BUILT_IN, LinearModel, Term, make_physical_term
 from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit

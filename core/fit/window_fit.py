@@ -32,22 +32,12 @@ from msgspec.structs import replace
 from socast.core.batch import Floats
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import ModelError
+from socast.core.fit.accessory_curve import CHOKE_POINTS, LEVELS, compute_curve_columns, flatten_curve
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.calibration import NEEDS, calibrate_interval, expect_interval, group_errors
-from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
 from socast.core.fit.measured_rows import ENERGY_SD
 from socast.core.fit.nested_effects import Gaussian, compute_coefficients, integrate_car_factor
-from socast.core.fit.priors import (
-    CHOKE_POINTS,
-    LEVELS,
-    build_curve_prior,
-    build_prior,
-    compute_curve_columns,
-    find_curve_limits,
-    find_limits,
-    flatten_curve,
-    is_curved,
-)
+from socast.core.fit.priors import build_curve_prior, build_prior, find_curve_limits, find_limits, is_curved
 from socast.core.fit.records import FitStep
 from socast.core.fit.ride_blocks import (
     ENERGY,
@@ -58,11 +48,10 @@ from socast.core.fit.ride_blocks import (
     select_trainable,
     word_too_few_rides,
 )
-from socast.core.fit.row_noise import build_variance_parts
+from socast.core.fit.row_noise import DISTORTED_COLUMNS, DISTORTIONS, build_variance_parts, gather_distortions
 from socast.core.fit.window_solver import GroupFit, GroupRows, solve_group
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from socast.core.models.derived_features import DERIVED_COLUMNS
-from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
+from socast.core.models.features import ACCESSORIES_COLUMN, DERIVED_COLUMNS, FEATURES, Columns, list_raw_columns
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
 from socast.core.vehicles import AccessoryCurve
 from socast.core.vehicles.fleet import CarParameters

@@ -8,10 +8,10 @@ import pandas as pd
 from msgspec import structs
 
 from socast.core.fit.determination import determine_terms
-from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.records import Determination, find_fit_step
 from socast.core.fit.ride_blocks import ENERGY, get_numbers, select_trainable
+from socast.core.fit.row_noise import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.window_fit import READ, add_window_interval, fit_rows, gather_rows
 from socast.core.fit.window_solver import GroupFit
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
@@ -33,7 +33,7 @@ class WindowRecipe:
     terms : tuple of Term
         Terms of the model; each adds up over the windows of a ride.
     distortions : mapping of str to float
-        Standard deviations of the distortions of sampling, see `socast.core.fit.distortions`.
+        Standard deviations of the distortions of sampling, see `socast.core.fit.row_noise`.
     windows : DataFrame, optional
         Window table that `fit` reads where it is given none, see `bind`.
     """

@@ -15,7 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.fit.accessory_curve import CURVE_NUMBERS
+from socast.core.fit.accessory_curve import (
+    CURVE_NUMBERS,
+    build_curve,
+    compute_softened_power,
+    differentiate_softened_power,
+    flatten_curve,
+)
 from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     SHARED,
@@ -29,9 +35,7 @@ from socast.core.fit.nested_effects import (
     integrate_car_spread,
     solve_within_limits,
 )
-from socast.core.fit.priors import build_curve, flatten_curve
 from socast.core.fit.row_noise import LEAST_ROWS, USUAL_PARTS, compute_robust_weights, estimate_variance
-from socast.core.fit.softened_curve import compute_softened_power, differentiate_softened_power
 from socast.core.stats.random_effects import Integrated, sum_products
 from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 

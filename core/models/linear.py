@@ -79,7 +79,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     limit : EnergyLimit, optional
         Largest energy that the fit predicts. Absent where there is none, as in models of earlier releases.
     noise_kwh : float, optional
-        Variance of a ride's error divided by its size (`socast.core.models.derived_features.compute_size`), where rides
+        Variance of a ride's error divided by its size (`socast.core.models.features.compute_size`), where rides
         were weighted by their size. [kWh]
     limited : tuple of str
         Terms, and numbers of the accessory curve, that stopped at an end of their plausible ranges. The data alone

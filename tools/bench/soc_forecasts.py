@@ -20,8 +20,14 @@ from rich.console import Console
 
 from socast.core import models
 from socast.core.evaluate.soc.baselines import compute_baselines
-from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
-from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.cases import (
+    HOURS_AHEAD,
+    SHIFT_KEY,
+    count_impossible_bounds,
+    normalise_keys,
+    replace_outcomes,
+    select_cases,
+)
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings

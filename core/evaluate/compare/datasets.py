@@ -26,7 +26,7 @@ from socast.core.evaluate.compare.records import (
 from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.ride_filter import IDENTITY_COLUMNS
 from socast.core.models import LinearModel
-from socast.core.models.derived_features import divide_by_distance
+from socast.core.models.features import divide_by_distance
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate

@@ -28,7 +28,7 @@ from socast.core.evaluate.compare.records import (
     WorstRide,
     WorstRides,
 )
-from socast.core.evaluate.paper.held_out import word_limited
+from socast.core.evaluate.paper.results import word_limited
 from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from socast.core.evaluate.ride_filter import compute_instrument_shares, find_exclusion_reasons, name_rides

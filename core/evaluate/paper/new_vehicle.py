@@ -20,10 +20,9 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.errors import SettingsError, SocastError
-from socast.core.evaluate.paper.held_out import HeldOutPredictions
 from socast.core.evaluate.paper.published import find_paper_key
 from socast.core.evaluate.paper.records import LearningPoint, NewVehicleErrors
-from socast.core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
+from socast.core.evaluate.paper.results import REFERENCE, HeldOutPredictions, compute_pooled_average, compute_reductions
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
 from socast.core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats.scores import average_over_repeats, compute_group_means

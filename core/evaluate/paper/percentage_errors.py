@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats
-from socast.core.evaluate.paper.held_out import HeldOutPredictions
 from socast.core.evaluate.paper.records import Numbers, PercentageErrors, SplitErrors
-from socast.core.evaluate.paper.results import compute_reductions
+from socast.core.evaluate.paper.results import HeldOutPredictions, compute_reductions
 from socast.core.evaluate.records import RelativeErrors, hold_estimate
 from socast.core.evaluate.relative_errors import (
     LEAST_ENERGY,

@@ -14,14 +14,14 @@ from msgspec.structs import replace
 
 from socast.core.errors import ModelError, SettingsError, suggest_names
 from socast.core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
-from socast.core.evaluate.paper.accessories import compute_figure_1
-from socast.core.evaluate.paper.held_out import (
+from socast.core.evaluate.paper.breakdown import compute_figure_1
+from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
+from socast.core.evaluate.paper.results import (
     HeldOutPredictions,
     average_over_clusters,
     select_comparable,
     tabulate_estimates,
 )
-from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
 from socast.core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from socast.core.fit.recipes import RECIPES

@@ -18,10 +18,17 @@ from socast.core.errors import ModelError
 from socast.core.evaluate.binning import Binning, bin_names, bin_values
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines
-from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
-from socast.core.evaluate.soc.legs import MINUTES
-from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.cases import (
+    HOURS_AHEAD,
+    SHIFT_KEY,
+    ForecastCases,
+    count_impossible_bounds,
+    normalise_keys,
+    replace_outcomes,
+    select_cases,
+)
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
+from socast.core.evaluate.soc.recorders import MINUTES
 from socast.core.evaluate.soc.records import (
     BaselineErrors,
     BestBaseline,

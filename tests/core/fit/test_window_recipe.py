@@ -8,8 +8,8 @@ from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from socast.core.errors import ModelError
-from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.recipes import RECIPES, WINDOW_RECIPES, get_recipe
+from socast.core.fit.row_noise import DISTORTIONS
 from socast.core.fit.sklearn_estimator import RecipeRegressor
 from socast.core.fit.window_recipe import WindowRecipe
 from tests.support.synthetic_windows import make_tables, make_windows
