@@ -44,7 +44,7 @@ _LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
 """Range and width of the bins of outside temperature. [°C]"""
 _BINS: Final = round((_HIGH - _LOW) / _WIDTH)
 _CENTRE: Final[Floats] = _LOW + _WIDTH * (np.arange(_BINS, dtype=np.float64) + 0.5)
-_LEAST_GAP: Final = 1.0
+LEAST_GAP: Final = 1.0
 """Smallest distance between two choke points. [K]"""
 _LEAST_RIDES: Final = 70
 """Fewest rides for a fit of the curve: ten for each of its numbers. With fewer, the fit scales the reference curve."""
@@ -264,18 +264,18 @@ def _levels(knots: Floats, binned: _BinFactors) -> tuple[Floats, Floats]:
 def _knots(x: Floats, low: float, high: float) -> Floats:
     """Return choke points between two temperatures; each share divides the range that remains above the last. [°C]"""
     knots = np.empty(4)
-    at = low - _LEAST_GAP
+    at = low - LEAST_GAP
     for i, share in enumerate(x):
-        at += _LEAST_GAP
-        at += share * (high - at - _LEAST_GAP * (3 - i))
+        at += LEAST_GAP
+        at += share * (high - at - LEAST_GAP * (3 - i))
         knots[i] = at
     return knots
 
 
 def _shares(knots: Floats, low: float, high: float) -> Floats:
     """Return the shares that `_knots` converts into these choke points."""
-    before = np.concatenate([[low - _LEAST_GAP], knots[:-1]]) + _LEAST_GAP
-    left = high - before - _LEAST_GAP * np.arange(3, -1, -1)
+    before = np.concatenate([[low - LEAST_GAP], knots[:-1]]) + LEAST_GAP
+    left = high - before - LEAST_GAP * np.arange(3, -1, -1)
     return np.clip((knots - before) / np.maximum(left, 1e-9), 0.001, 0.999)
 
 

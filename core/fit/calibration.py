@@ -133,7 +133,14 @@ def calibrate_interval(
         quantiles=tuple(tuple(row.tolist()) for row in rows),
         rides=len(over),
     )
-    return found if len(unseen) < 2 else _widen_for_unseen(found, _join_rides(unseen))
+    if len(unseen) < 2:
+        return found
+    others = _join_rides(unseen)
+    scale = _fit_scale(others)
+    factor = float(np.quantile(_find_factors(found, others, scale), _UNSEEN_LEVEL))
+    usual = np.mean([own for key, own in found.scales.items() if key != ANY], axis=0)
+    widest = np.maximum(scale * factor, usual)
+    return msgspec.structs.replace(found, scales=found.scales | {ANY: _three(widest)})
 
 
 def expect_interval(seen: Mapping[str, HeldOutErrors]) -> PredictionInterval | None:
@@ -201,15 +208,6 @@ def _find_classes(distance: Floats) -> list[float]:
             break
         del starts[max(few[-1], 1)]
     return starts
-
-
-def _widen_for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
-    """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
-    scale = _fit_scale(unseen)
-    factor = float(np.quantile(_find_factors(interval, unseen, scale), _UNSEEN_LEVEL))
-    usual = [own for key, own in interval.scales.items() if key != ANY]
-    widest = np.maximum(scale * factor, np.mean(usual, axis=0))
-    return msgspec.structs.replace(interval, scales=interval.scales | {ANY: _three(widest)})
 
 
 def widen_for_unseen_cars(

@@ -43,7 +43,7 @@ FARTHEST: Final = 4.0
 NEWTON_STEPS: Final = 10
 """Largest number of Newton steps that end the search."""
 SMALL_STEP: Final = 1e-9
-"""Step at which the search has converged, over the standard deviation of the logarithm. [1]"""
+"""Step at which a search has converged, over the standard deviation of the prior. [1]"""
 DIFFERENCE: Final = 1e-5
 """Step of the differences of derivatives, over the standard deviation of the logarithm. [1]"""
 

@@ -16,7 +16,7 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.effects.road_load import accessories
-from socast.core.fit.accessory_curve import CHOKE_POINTS, LEVELS, flatten_curve
+from socast.core.fit.accessory_curve import CHOKE_POINTS, LEAST_GAP, LEVELS, flatten_curve
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.nested_effects import Gaussian
 from socast.core.models import Term
@@ -29,8 +29,6 @@ BOUNDS_OVER_SD: Final = 4.0
 """Width of the bounds of a number of the accessory curve over its standard deviation. [1]"""
 UNKNOWN_ENERGY: Final = 1.0
 """Standard deviation of the energy of a row by a term of which physics tells nothing. [kWh]"""
-LEAST_GAP: Final = 1.0
-"""Smallest distance between two choke points. [K]"""
 
 
 def build_prior(terms: Sequence[Term], columns: Columns, rows: int) -> Gaussian:

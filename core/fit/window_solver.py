@@ -25,6 +25,7 @@ from socast.core.fit.accessory_curve import (
 from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     SHARED,
+    SMALL_STEP,
     Elimination,
     Gaussian,
     LevelSpreads,
@@ -49,10 +50,8 @@ STEPS: Final = 100
 """Largest number of linearisations of the accessory curve in a descent."""
 HALVINGS: Final = 30
 """Largest number of times that a step is halved until it raises the posterior density."""
-SMALL_STEP: Final = 1e-9
-"""Step of each number over the standard deviation of its prior, at which a descent has converged. [1]"""
 ROUGH_STEP: Final = 1e-3
-"""The same for a descent that others follow. [1]"""
+"""Step at which a descent that others follow has converged, over the standard deviation of the prior. [1]"""
 INDEPENDENT: Final = LevelSpreads(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Spreads of levels that leave the errors of all rows independent."""
 

@@ -241,7 +241,15 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         ModelError
             Where a needed column is absent.
         """
-        energy = self._predict_unlimited(columns)
+        if missing := [name for name in self.needs if name not in columns]:
+            raise ModelError(
+                f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
+                "effects"
+            )
+        total = np.full(_length(columns, self.needs), np.nan)
+        for key, rows, count in self._rows(columns):
+            total[rows] = self._predict(key, Columns(columns, rows=rows), count)
+        energy = self._scale_by_car(total, columns)
         if not self.is_limited:
             return energy
         most = self.compute_limits(columns)
@@ -271,18 +279,6 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def count_limited(self, columns: Table, energy: Floats) -> int:
         """Return the number of predicted energies that stopped at their limit."""
         return int(np.sum(np.abs(energy) >= self.compute_limits(columns))) if self.is_limited else 0
-
-    def _predict_unlimited(self, columns: Table) -> Floats:
-        """Return the energy of rides by the terms, the trees and the factors of cars. [kWh]"""
-        if missing := [name for name in self.needs if name not in columns]:
-            raise ModelError(
-                f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
-                "effects"
-            )
-        total = np.full(_length(columns, self.needs), np.nan)
-        for key, rows, count in self._rows(columns):
-            total[rows] = self._predict(key, Columns(columns, rows=rows), count)
-        return self._scale_by_car(total, columns)
 
     def predict_parts(self, columns: Table) -> dict[str, Floats]:
         """Return the energy of each term, and of the correction by trees where the model has one.

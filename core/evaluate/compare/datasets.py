@@ -45,8 +45,6 @@ PROPERTIES: Final = (
     ("state of charge at the start", "%", "soc_start_pct", ""),
 )
 """Properties in which rides may differ: name, unit, column, and the column that divides it."""
-SECONDS_PER_MINUTE: Final = 60.0
-"""Seconds in a minute. [s]"""
 
 Sets = tuple[ComparedRides, ComparedRides]
 
@@ -104,7 +102,7 @@ def _compute_property(rides: pd.DataFrame, column: str, per: str) -> Floats:
     values = rides[column].to_numpy(np.float64)
     if per:
         return divide_by_distance(values, rides[per].to_numpy(np.float64))
-    return values / SECONDS_PER_MINUTE if column == "duration_s" else values
+    return values / 60.0 if column == "duration_s" else values
 
 
 def _compare_model(label: str, model: LinearModel, sets: Sets) -> ModelContrast:

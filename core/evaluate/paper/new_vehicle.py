@@ -20,9 +20,9 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.errors import SettingsError, SocastError
-from socast.core.evaluate.paper.published import find_paper_key
+from socast.core.evaluate.paper.published import PHYSICAL, find_paper_key
 from socast.core.evaluate.paper.records import LearningPoint, NewVehicleErrors
-from socast.core.evaluate.paper.results import REFERENCE, HeldOutPredictions, compute_pooled_average, compute_reductions
+from socast.core.evaluate.paper.results import HeldOutPredictions, compute_pooled_average, compute_reductions
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
 from socast.core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats.scores import average_over_repeats, compute_group_means
@@ -112,8 +112,8 @@ def compute_tables_12_and_13(
         for i, name in enumerate(held):
             error = means[recipe][i]
             rows[name] = {"mae": error, "relative": error / used[i]}
-            if REFERENCE in means:
-                rows[name] |= {"basic": means[REFERENCE][i], "reduction": reduced[recipe][name]}
+            if PHYSICAL in means:
+                rows[name] |= {"basic": means[PHYSICAL][i], "reduction": reduced[recipe][name]}
         mean = {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
         tables[recipe] = {name: NewVehicleErrors(**row) for name, row in (rows | {"average": mean}).items()}
     return tables

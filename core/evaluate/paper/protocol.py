@@ -213,7 +213,11 @@ def _compute_tables(
 ) -> RecipeEvaluation:
     """Return the tables that follow from predictions on the splits of `held`, and on `new` vehicle models."""
     table, ride = plan.table, held["ride"]
-    errors, used = results.estimate_errors(ride, table), results.estimate_consumption(ride, table)
+    used = results.estimate_held_out(ride, table, [table.energy[rows] for rows in ride.rows])
+    errors = {
+        recipe: results.estimate_held_out(ride, table, results.compute_absolute_errors(ride, table, recipe))
+        for recipe in ride.recipes
+    }
     averages = {recipe: [mean.value for mean in average_over_clusters(cells)] for recipe, cells in errors.items()}
     pooled = {
         kind: {recipe: results.compute_pooled_average(held[kind], table, recipe) for recipe in held[kind].recipes}

@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.evaluate.paper.published import PHYSICAL
 from socast.core.evaluate.paper.records import DifferenceScore, EstimateTable, EvaluatedTable, Numbers, TestedDifference
 from socast.core.evaluate.paper.runs import Prediction
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
@@ -26,8 +27,6 @@ MOST_UNPREDICTED: Final = 0.05
 
 
 Measured = TypeVar("Measured")
-REFERENCE: Final = "basic_physical"
-"""Recipe to which reductions refer."""
 ALL: Final = "all"
 """Key of all vehicle models together in the difference score."""
 
@@ -154,18 +153,23 @@ def compute_absolute_errors(held: HeldOutPredictions, evaluated: EvaluatedRides,
     ]
 
 
-def estimate_cells(means: Floats, overlap: float) -> list[list[Estimate]]:
+def estimate_cells(means: Floats, overlap: float) -> Cells:
     """Return estimates over repeats, by vehicle model and cluster, from the means of `compute_cell_means`."""
     _, models, count = means.shape
     return [[average_over_repeats(means[:, m, c], overlap) for c in range(count)] for m in range(models)]
 
 
-def average_over_clusters(cells: list[list[Estimate]]) -> list[Estimate]:
+def estimate_held_out(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Cells:
+    """Return the means of values of held-out rides, by vehicle model and cluster (Tables 4 to 11)."""
+    return estimate_cells(compute_cell_means(held, evaluated, values), held.overlap)
+
+
+def average_over_clusters(cells: Cells) -> list[Estimate]:
     """Return the post-stratified average over clusters, for each vehicle model."""
     return [combine_strata(row) for row in cells]
 
 
-def average_over_vehicle_models(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> list[Estimate]:
+def average_over_vehicle_models(cells: Cells, evaluated: EvaluatedRides) -> list[Estimate]:
     """Return the mean over vehicle models for each cluster, weighted as in the paper by all their rides."""
     rides = evaluated.count().sum(axis=1).tolist()
     columns = [[row[c] for row in cells] for c in range(SCORED_CLUSTERS)]
@@ -208,7 +212,7 @@ def weigh_vehicle_models(rides: Sequence[float], known: Sequence[bool]) -> Float
     return np.where(present, total + total[~present].sum() / present.sum(), 0.0)
 
 
-def tabulate_estimates(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> EstimateTable:
+def tabulate_estimates(cells: Cells, evaluated: EvaluatedRides) -> EstimateTable:
     """Return a table of the paper: vehicle model to cluster to figure, with `average`, and the row `weighted`."""
     average = average_over_clusters(cells)
     rows = {
@@ -268,22 +272,6 @@ def compute_consumption(evaluated: EvaluatedRides) -> Numbers:
     }
 
 
-def estimate_consumption(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Cells:
-    """Return the mean energy of held-out rides, by vehicle model and cluster (Table 4). [kWh]"""
-    energy = [evaluated.energy[rows] for rows in held.rows]
-    return estimate_cells(compute_cell_means(held, evaluated, energy), held.overlap)
-
-
-def estimate_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Cells]:
-    """Return the mean absolute error of each recipe, by vehicle model and cluster (Tables 5 to 11). [kWh]"""
-    return {
-        r: estimate_cells(
-            compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)), held.overlap
-        )
-        for r in held.recipes
-    }
-
-
 def compute_errors_over_consumption(errors: Mapping[str, Cells], used: Cells, evaluated: EvaluatedRides) -> Numbers:
     """Return error over consumption by cluster, over all vehicle models (Figure 2). [1]"""
     means = average_over_vehicle_models(used, evaluated)
@@ -299,7 +287,7 @@ def compute_errors_over_consumption(errors: Mapping[str, Cells], used: Cells, ev
 
 
 def compute_reductions(
-    means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str], reference: str = REFERENCE
+    means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str], reference: str = PHYSICAL
 ) -> Numbers:
     """Return by which share the error of each recipe is below the reference's, and the mean over vehicle models.
 
@@ -322,11 +310,15 @@ def compute_reductions(
 
 def compare_recipes(held: HeldOutPredictions, evaluated: EvaluatedRides) -> ComparedRecipes:
     """Return the difference scores of each vehicle model and of all together, and which recipes dominate there."""
-    ridden = {r: _per_ride(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
-    scored = {r: compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
+    ridden, scored, models = {}, {}, len(evaluated.vehicle_models)
+    for r in held.recipes:
+        errors = compute_absolute_errors(held, evaluated, r)
+        each = zip(held.rows, errors, strict=True)
+        ridden[r] = np.array([compute_group_means(error, evaluated.model[rows], models) for rows, error in each])
+        scored[r] = compute_cell_means(held, evaluated, errors)
     pairs = multiple_testing.list_pairs(held.recipes)
     by_model: list[tuple[dict[Any, Estimate], dict[Any, Estimate]]] = []
-    for m in range(len(evaluated.vehicle_models)):
+    for m in range(models):
         rides = {(a, b): average_over_repeats(ridden[a][:, m] - ridden[b][:, m], held.overlap) for a, b in pairs}
         average = {
             (a, b): combine_strata(
@@ -356,17 +348,6 @@ def compare_recipes(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Comp
         }
         result.dominates_average[name] = multiple_testing.select_dominating(mean, average)
     return result
-
-
-def _per_ride(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:
-    """Return means over the rides of each vehicle model, (repeats, vehicle models)."""
-    models = len(evaluated.vehicle_models)
-    return np.array(
-        [
-            compute_group_means(value, evaluated.model[rows], models)
-            for rows, value in zip(held.rows, values, strict=True)
-        ]
-    )
 
 
 def _mean(values: Floats, weights: Sequence[float]) -> float:

@@ -40,10 +40,6 @@ class EvaluatedRecipe(Protocol):
     """Describe a recipe, treated as a black box."""
 
     @property
-    def name(self) -> str:
-        """Key in results."""
-
-    @property
     def title(self) -> str:
         """Title for readers, as in the paper."""
 

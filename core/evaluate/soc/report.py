@@ -43,12 +43,11 @@ from socast.core.evaluate.soc.records import (
     RegressionIntervals,
     SocEvaluation,
 )
+from socast.core.evaluate.soc.regression import NOMINAL
 from socast.core.evaluate.soc.reserve_risk import evaluate_reserve_risk, hold_share
 from socast.core.stats.clustered import compute_clustered_mean
 from socast.core.stats.scores import Codes
 
-NOMINAL: Final = 0.90
-"""Nominal share of outcomes inside the interval."""
 TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
 """Edges of the bands of a shift's mean outside temperature; the first and the last band are open. [°C]"""
 NOVELTIES: Final = (1, 2, 5, 10)
@@ -133,7 +132,10 @@ def evaluate_soc(
         bounds=bounds,
         reserve=evaluate_reserve_risk(cases),
         legs={} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
-        charges={name: compute_charge_figures(group) for name, group in charges.items()},
+        charges={
+            name: _bin_figures(group, group["hours"].to_numpy(), {h: f"{h} h" for h in sorted(set(group["hours"]))})
+            for name, group in charges.items()
+        },
         columns=ForecastColumns(**columns),
         examples=select_examples(cases, outlooks),
         notes=_notes(cases, bounds),
@@ -165,12 +167,6 @@ def compute_leg_figures(
         labels = {code: band.labels[code] for code in np.unique(band.codes).tolist()}
         figures[name] = _bin_figures(group, band.codes, labels) if labels else []
     return figures
-
-
-def compute_charge_figures(cases: pd.DataFrame) -> list[ForecastBin]:
-    """Return the figures of forecasts around planned charges by the time ahead."""
-    hours = cases["hours"].to_numpy()
-    return _bin_figures(cases, hours, {each: f"{each} h" for each in sorted(set(hours))})
 
 
 def _bin_figures(cases: pd.DataFrame, codes: NDArray[Any], labels: Mapping[int, str]) -> list[ForecastBin]:

@@ -10,11 +10,11 @@ from socast.core.fit import window_solver
 from socast.core.fit.accessory_curve import build_curve, flatten_curve
 from socast.core.fit.block_sums import limit_to_one_thread
 from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.nested_effects import SMALL_STEP
 from socast.core.fit.recipes import get_recipe
 from socast.core.fit.window_fit import gather_rows
 from socast.core.fit.window_solver import (
     INDEPENDENT,
-    SMALL_STEP,
     GroupFit,
     GroupRows,
     Problem,

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
 from socast.core.evaluate.soc.records import ClusteredShare, ExampleShift, SocEvaluation
-from socast.core.evaluate.soc.report import NOMINAL
+from socast.core.evaluate.soc.regression import NOMINAL
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.tools.report.evaluation.illustrations import Illustration
