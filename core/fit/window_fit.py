@@ -28,6 +28,7 @@ import numpy as np
 import pandas as pd
 from msgspec import UNSET
 from msgspec.structs import replace
+from scipy.linalg import block_diag
 
 from socast.core.batch import Floats
 from socast.core.columns import ZERO_CELSIUS
@@ -121,7 +122,11 @@ def fit_rows(
             rows, fills = good.iloc[at], _find_fills(terms, good.iloc[at])
             group = gather_rows(terms, rows, fills, distortions)
             groups[key] = solve_group(group)
-            fits[key] = _convert(terms, group, groups[key], fills, _find_limit(group, rows))
+            # windows take and return more than their ride, so the limit follows from whole rides
+            columns = [get_numbers(rows, name) for name in (ENERGY, *LIMIT_NEEDS)]
+            rides = [np.bincount(group.ride, column).astype(np.float64) for column in columns]
+            limit = EnergyLimit.of_training(*sum_training(*rides).tolist())
+            fits[key] = _convert(terms, group, groups[key], fills, limit)
     if alone is not None:  # the fit of the only vehicle model is that of all rides
         groups[ANY], fits[ANY] = groups[alone], fits[alone]
     return _assemble(name, terms, good, read, fits), groups
@@ -170,13 +175,15 @@ def gather_rows(
     energy, hours = get_numbers(rows, ENERGY), columns["duration_s"] / 3600.0
     time = [hours * columns["accessory_scale"] / 1e3] if curved else []
     rolling = columns["effect_rolling"] * columns["rolling_resistance"]
-    prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
     spread = np.array(list(distortions.values()))
-    prior = _join(prior, Gaussian(np.zeros(len(spread)), np.diag(spread**2)))
-    limits = np.column_stack([limits, np.tile([[-np.inf], [np.inf]], len(spread))])
+    unlimited = np.full(len(spread), np.inf)
+    priors = [build_prior(plain, columns, n), Gaussian(np.zeros(len(spread)), np.diag(spread**2))]
+    limits = [find_limits(plain, columns), (-unlimited, unlimited)]
     if curved:
-        prior = _join(prior, build_curve_prior())
-        limits = np.column_stack([limits, np.array(find_curve_limits())])
+        priors.append(build_curve_prior())
+        limits.append(find_curve_limits())
+    low, high = (np.concatenate(ends) for ends in zip(*limits, strict=True))
+    means, covariances = zip(*priors, strict=True)
     ride, keys = pd.factorize(rows["ride_key"])
     first = np.unique(ride, return_index=True)[1]
     names = rows[VEHICLE].to_numpy(dtype=object)[first]
@@ -193,25 +200,11 @@ def gather_rows(
         rides=tuple(keys),
         cars=tuple(cars),
         parts=build_variance_parts(rows),
-        prior=prior,
-        low=limits[0],
-        high=limits[1],
+        prior=Gaussian(np.concatenate(means), block_diag(*covariances)),
+        low=low,
+        high=high,
         curved=curved,
     )
-
-
-def _join(one: Gaussian, other: Gaussian) -> Gaussian:
-    """Return the distribution of two independent sets of coefficients."""
-    size = len(one.mean)
-    covariance = np.zeros((size + len(other.mean),) * 2)
-    covariance[:size, :size], covariance[size:, size:] = one.covariance, other.covariance
-    return Gaussian(np.concatenate([one.mean, other.mean]), covariance)
-
-
-def _find_limit(group: GroupRows, rows: pd.DataFrame) -> EnergyLimit | None:
-    """Return the limit that follows from the whole rides, as windows take and return more than a ride."""
-    rides = [np.bincount(group.ride, get_numbers(rows, name)).astype(np.float64) for name in (ENERGY, *LIMIT_NEEDS)]
-    return EnergyLimit.of_training(*sum_training(*rides).tolist())
 
 
 def _convert(

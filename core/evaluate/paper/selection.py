@@ -71,9 +71,7 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
         squares = np.zeros(x.shape[1] - 1)
         for model in np.unique(x[:, 0]):
             of_model = x[:, 0] == model
-            moments = Moments(x.shape[1])
-            moments.add(np.column_stack([x[of_model, 1:], y[of_model]]))
-            solution = solve(moments, constant=True)
+            solution = solve(Moments.of(np.column_stack([x[of_model, 1:], y[of_model]])), constant=True)
             self.coefficients_[int(model)] = (solution.coefficients, solution.constant or 0.0)
             squares += np.sum(of_model) * solution.coefficients**2
         self.importance_ = np.append(KEPT_IMPORTANCE, np.sqrt(squares / len(x)))
@@ -216,8 +214,7 @@ def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
     train, test = design.part(split.train), design.part(split.test)
     for model in np.unique(train.table[:, 0]):
         of_model, tested = train.table[:, 0] == model, test.table[:, 0] == model
-        moments = Moments(train.table.shape[1])
-        moments.add(np.column_stack([train.table[of_model, 1:], train.energy[of_model]]))
+        moments = Moments.of(np.column_stack([train.table[of_model, 1:], train.energy[of_model]]))
         for i, columns in enumerate(kept):
             solution = solve(moments.only([*columns.tolist(), -1]), constant=True)
             predicted = test.table[tested][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)
