@@ -79,8 +79,7 @@ def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
     >>> compute_local_hour(np.array([1516017600.0]), np.array([-73.6])).tolist()  # 12:00 UTC in Montreal
     [7.0]
     """
-    hour: Floats = (start_s / 3600.0 + np.round(longitude_deg / DEGREES_PER_HOUR)) % 24.0
-    return hour
+    return np.asarray((start_s / 3600.0 + np.round(longitude_deg / DEGREES_PER_HOUR)) % 24.0)
 
 
 def bin_values(values: Floats, ends: Sequence[int]) -> Binning:

@@ -179,16 +179,7 @@ def _fit(content: bytes, beside: int, enough: bool) -> AccessoryCurve:
     best = min((_solved(start, binned, low, high) for start in starts), key=lambda result: float(result.cost))
     knots = _knots(best.x, low, high)
     standby, heating, cooling = _levels(knots, binned)[0]
-    heating_full, heating_off, cooling_on, cooling_full = (float(t) + ZERO_CELSIUS for t in knots)
-    return AccessoryCurve(
-        heating_full=heating_full,
-        heating_off=heating_off,
-        cooling_on=cooling_on,
-        cooling_full=cooling_full,
-        heating=float(standby + heating),
-        standby=float(standby),
-        cooling=float(standby + cooling),
-    )
+    return build_curve(np.array([standby, standby + heating, standby + cooling, *(knots + ZERO_CELSIUS)]))
 
 
 def _scaled(sums: Floats) -> AccessoryCurve:
@@ -197,16 +188,9 @@ def _scaled(sums: Floats) -> AccessoryCurve:
     power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
     squares = float(sums[:, 0, 0] @ power**2)
     left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
-    factor = max(float(left @ power) / squares, 0.0) if squares > 0.0 else 1.0
-    return AccessoryCurve(
-        heating_full=ACCESSORIES.heating_full,
-        heating_off=ACCESSORIES.heating_off,
-        cooling_on=ACCESSORIES.cooling_on,
-        cooling_full=ACCESSORIES.cooling_full,
-        heating=factor * ACCESSORIES.heating,
-        standby=factor * ACCESSORIES.standby,
-        cooling=factor * ACCESSORIES.cooling,
-    )
+    numbers = flatten_curve(ACCESSORIES)
+    numbers[: len(LEVELS)] *= max(float(left @ power) / squares, 0.0) if squares > 0.0 else 1.0
+    return build_curve(numbers)
 
 
 def _binned(sums: Floats, centre: Floats) -> _BinFactors:

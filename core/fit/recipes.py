@@ -76,18 +76,12 @@ class LinearRecipe:
         model = fit_terms(self, RideFrame(rides), covariance=covariance)
         return add_interval(model, rides, fitted=self.free) if covariance else model
 
-    def fit_parquet(self, *paths: str | Path, covariance: bool = True, run: PassRunner | None = None) -> LinearModel:
+    def fit_parquet(self, *paths: str | Path, run: PassRunner | None = None) -> LinearModel:
         """Return a model fitted to Parquet files of rides, in memory that does not grow with the number of rides.
 
-        Parameters
-        ----------
-        covariance : bool
-            Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
+        Its interval is calibrated on at most `INTERVAL_RIDES` rides.
         """
-        rides = RideParquet(tuple(Path(path) for path in paths))
-        if not covariance:
-            return fit_terms(self, rides, covariance=False, run=run)
-        some = ThinnedRides(rides, INTERVAL_RIDES, INTERVAL_NEEDS)
+        some = ThinnedRides(RideParquet(tuple(Path(path) for path in paths)), INTERVAL_RIDES, INTERVAL_NEEDS)
         model = fit_terms(self, some, run=run)
         return add_interval(model, some.table(), fitted=self.free)
 

@@ -13,7 +13,7 @@ import pandas as pd
 from msgspec.structs import replace
 
 from socast.core.errors import ModelError, SettingsError, suggest_names
-from socast.core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
+from socast.core.evaluate.paper import breakdown, new_vehicle, results, selection
 from socast.core.evaluate.paper.breakdown import compute_figure_1
 from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
 from socast.core.evaluate.paper.results import (
@@ -230,7 +230,7 @@ def _compute_tables(
         mae={recipe: tabulate_estimates(cells, table) for recipe, cells in errors.items()},
         relative=results.compute_errors_over_consumption(errors, used, table),
         reduction=results.compute_reductions(averages, table.vehicle_models),
-        reduction_by_baseline=percentage_errors.compute_reductions_by_baseline(averages, table.vehicle_models),
+        reduction_by_baseline=breakdown.compute_reductions_by_baseline(averages, table.vehicle_models),
         **results.compare_recipes(ride, table)._asdict(),
         bias=breakdown.compute_errors_by_vehicle_model(ride, table, compute_bias),
         rmse=breakdown.compute_errors_by_vehicle_model(ride, table, compute_rmse),
@@ -243,7 +243,7 @@ def _compute_tables(
             kind: {recipe: dict(zip(table.vehicle_models, row, strict=True)) for recipe, row in rows.items()}
             for kind, rows in ({"ride": averages} | pooled).items()
         },
-        percentage=percentage_errors.compute_percentage_errors(held, table),
+        percentage=breakdown.compute_percentage_errors(held, table),
         new_vehicle=new_vehicle.compute_tables_12_and_13(new, table),
         curve=compute_figure_1(table),
     )

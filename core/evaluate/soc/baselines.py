@@ -137,8 +137,7 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
     left = np.maximum(cases["shift_end_s"].to_numpy(np.float64) - time, 0.0)
     passed = time - since
     pace = np.divide(soc_then - soc, passed, out=np.full(len(cases), np.nan), where=passed >= LEAST_PACE_TIME)
-    remaining: Floats = soc - pace * left
-    return remaining
+    return np.asarray(soc - pace * left)
 
 
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:

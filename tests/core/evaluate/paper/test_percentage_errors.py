@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.core.evaluate.paper.percentage_errors import compute_percentage_errors, compute_reductions_by_baseline
+from socast.core.evaluate.paper.breakdown import compute_percentage_errors, compute_reductions_by_baseline
 from socast.core.evaluate.paper.results import HeldOutPredictions
 from socast.core.evaluate.ride_filter import EvaluatedRides
 
