@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from math import prod
 from tempfile import SpooledTemporaryFile
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -171,13 +171,8 @@ class TaskSums(NamedTuple):
 BlockFunction = Callable[[FitContext, TrainableRides], Any]
 
 
-class PassRunner(Protocol):
-    """Run the tasks of a pass."""
-
-    def __call__(
-        self, stage: str, function: Callable[..., TaskSums], tasks: Sequence[tuple[Any, ...]], /
-    ) -> Iterator[TaskSums]:
-        """Yield the result of each task, in their order."""
+PassRunner = Callable[[str, Callable[..., TaskSums], Sequence[tuple[Any, ...]]], Iterator[TaskSums]]
+"""Runs the tasks of a pass, given its name, a function and its arguments, and yields their results in their order."""
 
 
 def sum_blocks(context: FitContext, function: BlockFunction, rides: RideSource) -> TaskSums:

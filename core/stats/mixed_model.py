@@ -73,12 +73,6 @@ class FixedColumns:
     group: Ints
     place: Ints
 
-    @staticmethod
-    def common(columns: Floats) -> "FixedColumns":
-        """Return columns whose coefficients all windows share."""
-        n, k = columns.shape
-        return FixedColumns(columns, np.zeros(n, dtype=np.int64), np.arange(k)[np.newaxis])
-
     @property
     def coefficients(self) -> int:
         """Number of coefficients p."""

@@ -106,14 +106,6 @@ class Design(NamedTuple):
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
-class TermRanking(NamedTuple):
-    """Hold the order of elimination, the terms that cross-validation cuts, and its error by number of terms."""
-
-    order: Codes
-    cut: Codes
-    scores: list[TermScore]
-
-
 def plan_selection(
     evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int, margin: float = MARGIN
 ) -> dict[str, Callable[[], Any]]:
@@ -143,8 +135,8 @@ def find_removable_terms(
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
     physical = np.array([term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN)) for term in terms])[varies]
-    ranking = rank_terms(whole.part(halves.train), seed)
-    order, cut, varying = ranking.order, ranking.cut, names[varies]
+    order, cut, scores = rank_terms(whole.part(halves.train), seed)
+    varying = names[varies]
     last = order[np.argsort(physical[order], kind="stable")]
     # the cost is measured on the rides that did not rank the terms
     error, (price, *steps) = compute_losses(whole.part(halves.test), [cut, *_nest(order), *_nest(last)], seed)
@@ -153,7 +145,7 @@ def find_removable_terms(
     too_much = [not loss.upper95 <= margin * error for loss in by_margin]
     return RemovableTerms(
         constant=names[~varies].tolist(),
-        rfecv=TermElimination(removed=varying[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
+        rfecv=TermElimination(removed=varying[cut].tolist(), scores=scores, loss=_hold_loss(price)),
         rfe=TermElimination(**_tabulate_steps(varying[order], by_order, worse)),
         margin=TermElimination(
             share=margin, largest=margin * error, error=error, **_tabulate_steps(varying[last], by_margin, too_much)
@@ -161,8 +153,8 @@ def find_removable_terms(
     )
 
 
-def rank_terms(rides: Design, seed: int) -> TermRanking:
-    """Return the order in which terms are eliminated, and those that cross-validation cuts."""
+def rank_terms(rides: Design, seed: int) -> tuple[Codes, Codes, list[TermScore]]:
+    """Return the order of elimination, the terms that cross-validation cuts, and its error by number of terms."""
     options: dict[str, Any] = {"importance_getter": "importance_"}
     order = RFE(VehicleModelRegression(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
     folds = KFold(FOLDS, shuffle=True, random_state=seed)
@@ -170,14 +162,10 @@ def rank_terms(rides: Design, seed: int) -> TermRanking:
     tried = RFECV(VehicleModelRegression(), cv=folds, scoring=score, min_features_to_select=2, **options)
     tried.fit(rides.table, rides.energy)
     results = tried.cv_results_
-    return TermRanking(
-        np.argsort(-order.ranking_[1:], kind="stable")[: rides.table.shape[1] - 2],
-        np.flatnonzero(~tried.support_[1:]),
-        [
-            TermScore(terms=int(n) - 1, mae=-float(mean))
-            for n, mean in zip(results["n_features"], results["mean_test_score"], strict=True)
-        ],
-    )
+    eliminated = np.argsort(-order.ranking_[1:], kind="stable")[: rides.table.shape[1] - 2]
+    pairs = zip(results["n_features"], results["mean_test_score"], strict=True)
+    scores = [TermScore(terms=int(n) - 1, mae=-float(mean)) for n, mean in pairs]
+    return eliminated, np.flatnonzero(~tried.support_[1:]), scores
 
 
 def _nest(order: Codes) -> list[Codes]:

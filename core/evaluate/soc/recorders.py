@@ -16,7 +16,7 @@ Plans are read from their messages and not from the forecaster, so that what jud
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
-from math import floor, inf, isfinite, nan
+from math import floor, inf, isfinite, isnan, nan
 from typing import Any, Final
 
 import msgspec
@@ -29,7 +29,7 @@ from socast.core.evaluate.soc.cases import normalise_keys
 from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.forecast.plan_tracker import SHORTEST_RIDE
 from socast.core.wire.arrow_batch import PREFIX
-from socast.core.wire.messages import BATCH, Message, Outlook, address
+from socast.core.wire.messages import BATCH, Leg, Message, Outlook, address
 from socast.core.wire.sample_reader import read_samples
 
 PLAN_COLUMNS: Final = ("vehicle_id", "time_s", "plan_km", "plan_drive_s", "charge_ahead", "charge_to_pct")
@@ -58,19 +58,11 @@ LEG_SHIFT_COLUMNS: Final = ["shift", "vehicle_model", "begin_s", "end_s", "charg
 """Columns of shifts that the evaluation needs."""
 
 
-class _Leg(msgspec.Struct, gc=False):
-    """A ride, or a charge."""
-
-    distance_km: float | None = None
-    duration_s: float | None = None
-    charge_to_soc_pct: float | None = None
-
-
 class _Plan(msgspec.Struct, gc=False):
     """What a plan tells of its legs."""
 
     time_s: float
-    legs: list[_Leg]
+    legs: list[Leg]
 
 
 class PlanRecorder:
@@ -99,9 +91,9 @@ class PlanRecorder:
             return
         charges = [leg.charge_to_soc_pct for leg in plan.legs if leg.charge_to_soc_pct is not None]
         rides = [leg for leg in plan.legs if leg.charge_to_soc_pct is None]
-        km, seconds = (sum(getattr(leg, name) or 0.0 for leg in rides) for name in ("distance_km", "duration_s"))
-        upto = max(charges, default=nan)
-        self._rows.append((whose.identity, plan.time_s, float(km), float(seconds), bool(charges), upto))
+        km = sum(leg.distance_km or 0.0 for leg in rides)
+        seconds = sum(leg.duration_s for leg in rides if not isnan(leg.duration_s))
+        self._rows.append((whose.identity, plan.time_s, km, seconds, bool(charges), max(charges, default=nan)))
 
     def table(self) -> pd.DataFrame:
         """Return one row per recorded plan, with `PLAN_COLUMNS`."""
