@@ -270,6 +270,12 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     return (block.loc[~left] if left.any() else block), left_out
 
 
+def find_measured(rides: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return which rides are fit for training and have a measured energy."""
+    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
+    return np.asarray(fit & np.isfinite(get_numbers(rides, ENERGY)))
+
+
 def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str, int]) -> str:
     """Return that a recipe has too few rides, with the reasons why others are left out, and the remedy.
 

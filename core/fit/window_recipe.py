@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 import pandas as pd
 from msgspec import structs
 
 from socast.core.fit.determination import determine_terms
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.records import Determination, find_fit_step
-from socast.core.fit.ride_blocks import ENERGY, get_numbers, select_trainable
+from socast.core.fit.ride_blocks import ENERGY, find_measured, select_trainable
 from socast.core.fit.row_noise import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.window_fit import READ, add_window_interval, fit_rows, gather_rows
 from socast.core.fit.window_solver import GroupFit
@@ -90,11 +89,7 @@ class WindowRecipe:
         self, rides: pd.DataFrame, windows: pd.DataFrame | None, *, covariance: bool
     ) -> tuple[LinearModel, dict[str, GroupFit], pd.DataFrame]:
         """Return the model, the fit of each vehicle model, and the rows of rides fit for training."""
-        if windows is None:
-            fit = rides["fit_for_training"].to_numpy(bool, na_value=False) if "fit_for_training" in rides else True
-            rows = rides.loc[fit & np.isfinite(get_numbers(rides, ENERGY))]
-        else:
-            rows = join_tables(rides, windows)
+        rows = rides.loc[find_measured(rides)] if windows is None else join_tables(rides, windows)
         model, groups = fit_rows(self.name, self.terms, rows, rides, self.distortions)
         if covariance:
             model = add_window_interval(model, groups, rides)
