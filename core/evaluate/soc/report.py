@@ -253,10 +253,10 @@ def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
 def _against_regression(cases: FigureCases) -> RegressionIntervals:
     """Return the figures of the intervals of the regression and of the forecasts, where both are known."""
     both = cases.only(~np.isnan(cases.numbers["regression_p05"]) & ~np.isnan(cases.numbers["soc_p05_pct"]))
-    figures: dict[str, Any] = {}
-    for prefix, low, high in (("", "regression_p05", "regression_p95"), ("forecast_", "soc_p05_pct", "soc_p95_pct")):
-        figures |= _evaluate_interval(both, low, high, prefix)
-    return RegressionIntervals(n=len(both), **figures)
+    figures = _evaluate_interval(both, "regression_p05", "regression_p95")
+    return RegressionIntervals(
+        n=len(both), **figures, **_evaluate_interval(both, "soc_p05_pct", "soc_p95_pct", "forecast_")
+    )
 
 
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> BaselineErrors:
