@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
+from socast.core import effects as _effects
 from socast.core.effects import Effect, Parameter, check_effect, effect
 from socast.core.effects import get as get_effect
-from socast.core.effects import get_library as _get_library
-from socast.core.effects import load_file as _load_file
 
 __all__ = ["Effect", "Parameter", "check_effect", "effect", "get_effect", "list_effects", "load_effects"]
 
@@ -23,7 +22,7 @@ def list_effects() -> list[Effect]:
     >>> [effect.name for effect in list_effects()][:3]
     ['rolling', 'climbing', 'climbing_up']
     """
-    return list(_get_library().values())
+    return list(_effects.get_library().values())
 
 
 def load_effects(path: str | Path) -> list[Effect]:
@@ -47,4 +46,4 @@ def load_effects(path: str | Path) -> list[Effect]:
     EffectError
         Where the file cannot be read or run, or an effect fails its check. The message begins with the path.
     """
-    return _load_file(path)
+    return _effects.load_file(path)

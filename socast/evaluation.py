@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH
-from socast.core.condition.before_after import compare_before_after as _compare_dates
+from socast.core.condition import before_after as _before_after
 from socast.core.condition.campaign import Campaign as _Campaign
 from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_condition import assess_condition as _assess
@@ -18,14 +17,11 @@ from socast.core.condition.car_days import gather_car_days as _gather
 from socast.core.condition.energy_split import EnergySplit
 from socast.core.condition.energy_split import split_energy as _split
 from socast.core.condition.records import FleetCondition
+from socast.core.evaluate.compare import models as _models
+from socast.core.evaluate.compare import ride_trace as _ride_trace
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
-from socast.core.evaluate.compare.models import compare_predictions as _compare
-from socast.core.evaluate.compare.models import select_rides as _sample
 from socast.core.evaluate.compare.records import DatasetContrast, RideTrace
-from socast.core.evaluate.compare.ride_trace import find_ride as _find
-from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
-from socast.core.evaluate.paper.protocol import evaluate as _evaluate
-from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
+from socast.core.evaluate.paper import protocol as _protocol
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.stats.splits import REPEATS
@@ -33,8 +29,7 @@ from socast.results import Comparison, RecipeEvaluation, SocEvaluation, _show
 from socast.stream.loop import feed as _feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
-from socast.tools.commands.evaluate_soc import SocForecasts as _SocForecasts
-from socast.tools.commands.evaluate_soc import read_displays as _read_displays
+from socast.tools.commands import evaluate_soc as _evaluate_soc
 
 __all__ = [
     "assess_condition",
@@ -91,8 +86,10 @@ def evaluate_recipes(
         Where a recipe is unknown, or a vehicle model to leave out has no rides.
     """
     names = None if recipes is None else ",".join(recipes)
-    chosen = _choose_recipes(names, windows, seed)
-    result = _evaluate(rides, chosen, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training, jobs=jobs)
+    chosen = _protocol.select_recipes(names, windows, seed)
+    result = _protocol.evaluate(
+        rides, chosen, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training, jobs=jobs
+    )
     return _show(RecipeEvaluation, result)
 
 
@@ -125,7 +122,7 @@ def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Co
     >>> result.errors[["model", "rides"]].to_dict("records")
     [{'model': 'basic', 'rides': 57}]
     """
-    return _show(Comparison, _compare(_sample(rides, models)))
+    return _show(Comparison, _models.compare_predictions(_models.select_rides(rides, models)))
 
 
 def compare_before_after(
@@ -165,8 +162,8 @@ def compare_before_after(
     """
     last = None if until is None else until.toordinal()
     campaign = _Campaign(tuple(vehicles), at.toordinal(), last, days, what=what)
-    car_days = _gather(_sample(rides, {model.name: model}), model.name, LEAST_CAMPAIGN_KWH)
-    return _compare_dates(car_days, campaign, model.name)
+    car_days = _gather(_models.select_rides(rides, {model.name: model}), model.name, _before_after.LEAST_CAMPAIGN_KWH)
+    return _before_after.compare_before_after(car_days, campaign, model.name)
 
 
 def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> DatasetContrast:
@@ -184,7 +181,7 @@ def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[
     ModelError
         Where a column is missing, or no ride can be compared.
     """
-    return _contrast(_sample(first, models), _sample(second, models), models)
+    return _contrast(_models.select_rides(first, models), _models.select_rides(second, models), models)
 
 
 def split_energy(
@@ -275,7 +272,7 @@ def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Ma
     ModelError
         Where there is no such ride, or the identifier names several rides.
     """
-    return _trace(_find(rides, ride), windows, models)
+    return _ride_trace.trace_ride(_ride_trace.find_ride(rides, ride), windows, models)
 
 
 def evaluate_soc_forecasts(
@@ -307,8 +304,8 @@ def evaluate_soc_forecasts(
     ModelError
         Where no forecast can be evaluated: give recordings of more days.
     """
-    displays = None if truth is None else _read_displays(Path(truth))
-    collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
+    displays = None if truth is None else _evaluate_soc.read_displays(Path(truth))
+    collector = _evaluate_soc.SocForecasts(Pipeline(model, keep_outlooks=True))
     for _ in _feed(collector.cut(merge_sources([McapSource(path) for path in recordings])), collector.pipeline):
         collector.pipeline.forecasts()
         collector()

@@ -4,14 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from socast.core.fit.recipes import FIRST_RECIPE as _FIRST_RECIPE
-from socast.core.fit.recipes import RECIPES as _RECIPES
-from socast.core.fit.recipes import get_recipe as _get_recipe
-from socast.core.fit.window_recipe import WindowRecipe as _WindowRecipe
+from socast.core import models as _models
+from socast.core.fit import recipes as _recipes
 from socast.core.models import LinearModel
-from socast.core.models import load as _load
-from socast.core.models import save as _save
-from socast.core.models import stamp as _stamp
 
 __all__ = [
     "LinearModel",
@@ -31,10 +26,12 @@ def list_recipes() -> dict[str, str]:
     >>> "fitted_physical" in list_recipes()
     True
     """
-    return {name: recipe.title for name, recipe in _RECIPES.items()}
+    return {name: recipe.title for name, recipe in _recipes.RECIPES.items()}
 
 
-def fit_model(rides: pd.DataFrame, recipe: str = _FIRST_RECIPE, windows: pd.DataFrame | None = None) -> LinearModel:
+def fit_model(
+    rides: pd.DataFrame, recipe: str = _recipes.FIRST_RECIPE, windows: pd.DataFrame | None = None
+) -> LinearModel:
     """Fit a model to measured rides.
 
     Parameters
@@ -64,10 +61,7 @@ def fit_model(rides: pd.DataFrame, recipe: str = _FIRST_RECIPE, windows: pd.Data
     >>> socast.fit_model(tables.rides, windows=tables.windows).recipe
     'road_load_full'
     """
-    chosen = _get_recipe(recipe)
-    if isinstance(chosen, _WindowRecipe):
-        return chosen.fit(rides, windows)
-    return chosen.fit(rides)
+    return _recipes.fit_recipe(recipe, rides, windows)
 
 
 def load_model(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
@@ -92,7 +86,7 @@ def load_model(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
     >>> load_model("basic_physical").effects
     ('rolling', 'climbing', 'aero_drag', 'inertia')
     """
-    return _load(name_or_path, verify=verify)
+    return _models.load(name_or_path, verify=verify)
 
 
 def save_model(model: LinearModel, path: str | Path) -> None:
@@ -109,7 +103,7 @@ def save_model(model: LinearModel, path: str | Path) -> None:
     ModelError
         Where a coefficient is not finite, or the file cannot be written.
     """
-    _save(model, path)
+    _models.save(model, path)
 
 
 def stamp_model(model: LinearModel) -> LinearModel:
@@ -125,4 +119,4 @@ def stamp_model(model: LinearModel) -> LinearModel:
     >>> stamp_model(load_model("basic_physical")).version == load_model("basic_physical").version
     False
     """
-    return _stamp(model)
+    return _models.stamp(model)

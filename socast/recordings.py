@@ -205,7 +205,13 @@ def read_tables(*folders: str | Path) -> Tables:
     for place, folder in enumerate(map(Path, folders)):
         prefix = f"{place}/" if len(folders) > 1 else ""
         for name, tables in ((RIDES, rides), (WINDOWS, windows)):
-            table = _read_table(folder / name)
+            try:
+                table = pd.read_parquet(folder / name)
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+                raise ModelError(
+                    f"{folder / name}: cannot read a table: {reason}; name a folder that `socast tables` made"
+                ) from error
             tables.append(table.assign(ride_key=prefix + table["ride_key"].astype(str)))
     if not rides:
         raise ModelError("no folder of tables is given: name folders that `socast tables` made")
@@ -215,12 +221,3 @@ def read_tables(*folders: str | Path) -> Tables:
 def _blocks(recordings: Sequence[str | Path]) -> Iterator[Sequence[Message]]:
     """Yield messages in the order of their receipt."""
     return merge_sources([McapSource(path) for path in recordings])
-
-
-def _read_table(file: Path) -> pd.DataFrame:
-    """Return a Parquet table."""
-    try:
-        return pd.read_parquet(file)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read a table: {reason}; name a folder that `socast tables` made") from error

@@ -5,9 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from socast.tools.commands.simulate import write_simulation as _write_simulation
-from socast.tools.simulator.settings import Simulation as _Simulation
-from socast.tools.simulator.settings import parse_faults as _parse_faults
-from socast.tools.simulator.settings import parse_hidden as _parse_hidden
+from socast.tools.simulator import settings as _settings
 
 __all__ = ["simulate_fleet"]
 
@@ -57,13 +55,13 @@ def simulate_fleet(
         Where the recording cannot be written.
     """
     size: dict[str, Any] = {} if shift_hours is None else {"shift_hours": shift_hours}
-    simulation = _Simulation(
+    simulation = _settings.Simulation(
         vehicles=vehicles,
         days=days,
         start=start,
         seed=seed,
-        hidden=tuple(_parse_hidden(text) for text in hidden),
-        faults=_parse_faults(faults),
+        hidden=tuple(_settings.parse_hidden(text) for text in hidden),
+        faults=_settings.parse_faults(faults),
         **size,
     )
     summary: dict[str, Any] = _write_simulation(simulation, Path(path)).summary()

@@ -8,8 +8,14 @@ import numpy as np
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.stats.evidence import ClusterSums, Evidence, compute_worst_case_evidence
-from socast.core.stats.held_out_gain import cross_fit, fit_other_folds, measure_gain
+from socast.core.stats.evidence import (
+    ClusterSums,
+    Evidence,
+    compute_worst_case_evidence,
+    cross_fit,
+    fit_other_folds,
+    measure_gain,
+)
 from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 0.03

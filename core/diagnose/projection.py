@@ -4,7 +4,7 @@ An effect gets no credit for what the terms of the model can explain. Measured e
 projected off these terms (Frisch-Waugh-Lovell). Each car has its own coefficients, because cars of one model differ. A
 model with accessories by temperature may also use any smooth function of the temperature, multiplied by time.
 
-What sampling distorts (`socast.core.fit.distortions`) is projected off in the same way, and the number of stops,
+What sampling distorts (`socast.core.fit.row_noise`) is projected off in the same way, and the number of stops,
 because an effect that acts at stops or in acceleration would otherwise be credited with what speed between two samples
 hides.
 
@@ -28,9 +28,13 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
 from socast.core.fit.block_sums import build_design
-from socast.core.fit.distortions import gather_distortions
 from socast.core.fit.ride_blocks import get_names, get_numbers
-from socast.core.fit.row_noise import build_variance_parts, compute_robust_weights, estimate_variance
+from socast.core.fit.row_noise import (
+    build_variance_parts,
+    compute_robust_weights,
+    estimate_variance,
+    gather_distortions,
+)
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 

@@ -1,15 +1,15 @@
 """Bin rides by distance, weather, speed, season, time of day, vehicle and driver."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.evaluate.ride_filter import CLUSTERS, assign_distance_clusters
+from socast.core.fit.ride_blocks import get_numbers_if_present
 from socast.core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-30, 41, 5))
@@ -38,15 +38,31 @@ class Binning(NamedTuple):
 
 
 def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
-    """Return the bins of every known property of rides.
-
-    Returns
-    -------
-    dict of str to Binning
-        Binnings by the keys of `BINNERS`, in that order. A property that no ride has is left out.
-    """
-    made = {name: make(rides) for name, make in BINNERS.items()}
+    """Return the bins of every known property of rides; a property that no ride has is left out."""
+    distance, ambient_c, speed, winter, start_s, longitude = (
+        get_numbers_if_present(rides, name)
+        for name in ("distance_km", "ambient_c", "average_speed_kmh", "winter", "start_s", "longitude_start_deg")
+    )
+    made = {
+        "distance": Binning(assign_distance_clusters(distance), CLUSTERS),
+        "temperature": bin_values(ambient_c, TEMPERATURES),
+        "speed": bin_values(speed, SPEEDS),
+        "season": bin_seasons(winter),
+        "time of day": _bin_hours(compute_local_hour(start_s, longitude)),
+        "vehicle model": bin_names(rides, "vehicle_model"),
+        "vehicle": bin_names(rides, "vehicle_id"),
+        "driver": bin_names(rides, "driver_id"),
+    }
     return {name: bins for name, bins in made.items() if np.any(bins.codes >= 0)}
+
+
+def list_bins(rides: pd.DataFrame) -> list[tuple[str, str, Ints]]:
+    """Return property, label and rides of each bin of `bin_rides` that has a ride."""
+    return [
+        (name, labels[code], np.flatnonzero(codes == code))
+        for name, (codes, labels) in bin_rides(rides).items()
+        for code in np.unique(codes[codes >= 0]).tolist()
+    ]
 
 
 def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
@@ -63,8 +79,7 @@ def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
     >>> compute_local_hour(np.array([1516017600.0]), np.array([-73.6])).tolist()  # 12:00 UTC in Montreal
     [7.0]
     """
-    hour: Floats = (start_s / 3600.0 + np.round(longitude_deg / DEGREES_PER_HOUR)) % 24.0
-    return hour
+    return np.asarray((start_s / 3600.0 + np.round(longitude_deg / DEGREES_PER_HOUR)) % 24.0)
 
 
 def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
@@ -86,11 +101,6 @@ def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
     return Binning(codes, (f"below {ends[0]}", *inner, f"from {ends[-1]}"))
 
 
-def _bin_distances(rides: pd.DataFrame) -> Binning:
-    """Return the distance clusters of the paper."""
-    return Binning(assign_distance_clusters(_get_numbers(rides, "distance_km")), CLUSTERS)
-
-
 def bin_seasons(winter: Floats) -> Binning:
     """Return the bins of `SEASONS`.
 
@@ -107,52 +117,16 @@ def bin_seasons(winter: Floats) -> Binning:
     return Binning(np.where(np.isnan(winter), -1, 1 - (winter > 0.0)).astype(np.int64), SEASONS)
 
 
-def _bin_season(rides: pd.DataFrame) -> Binning:
-    """Return the bins of `SEASONS`."""
-    return bin_seasons(_get_numbers(rides, "winter"))
-
-
-def _bin_hours(rides: pd.DataFrame) -> Binning:
+def _bin_hours(hour: Floats) -> Binning:
     """Return bins of the local hour."""
-    hour = compute_local_hour(_get_numbers(rides, "start_s"), _get_numbers(rides, "longitude_start_deg"))
     codes = np.where(np.isfinite(hour), np.nan_to_num(hour) // HOURS_PER_BIN, -1).astype(np.int64)
     return Binning(codes, tuple(f"{h} to {h + HOURS_PER_BIN}" for h in range(0, 24, HOURS_PER_BIN)))
 
 
-def _make_name_binner(column: str) -> Callable[[pd.DataFrame], Binning]:
-    """Return a function that makes one bin for each name in a column."""
-
-    def make(rides: pd.DataFrame) -> Binning:
-        if column not in rides:
-            return Binning(np.full(len(rides), -1, np.int64), ())
-        names = sorted(str(name) for name in rides[column].dropna().unique())
-        return Binning(pd.Categorical(rides[column], categories=names).codes.astype(np.int64), tuple(names))
-
-    return make
-
-
-def _make_binner(column: str, ends: Sequence[int]) -> Callable[[pd.DataFrame], Binning]:
-    """Return a function that bins the numbers of a column."""
-    return lambda rides: bin_values(_get_numbers(rides, column), ends)
-
-
-def _get_numbers(rides: pd.DataFrame, column: str) -> Floats:
-    """Return a column as numbers; NaN where the column is missing."""
+def bin_names(rides: pd.DataFrame, column: str, least: int = 1) -> Binning:
+    """Return a bin for each name in a column that at least some number of rides have; none without the column."""
     if column not in rides:
-        return np.full(len(rides), np.nan)
-    return rides[column].to_numpy(np.float64)
-
-
-BINNERS: Final[Mapping[str, Callable[[pd.DataFrame], Binning]]] = MappingProxyType(
-    {
-        "distance": _bin_distances,
-        "temperature": _make_binner("ambient_c", TEMPERATURES),
-        "speed": _make_binner("average_speed_kmh", SPEEDS),
-        "season": _bin_season,
-        "time of day": _bin_hours,
-        "vehicle model": _make_name_binner("vehicle_model"),
-        "vehicle": _make_name_binner("vehicle_id"),
-        "driver": _make_name_binner("driver_id"),
-    }
-)
-"""Functions that bin each property, by its name."""
+        return Binning(np.full(len(rides), -1, np.int64), ())
+    names = sorted(str(name) for name, count in rides[column].value_counts().items() if count >= least)
+    codes = pd.Index(names, dtype=object).get_indexer(pd.Index(rides[column], dtype=object))
+    return Binning(codes.astype(np.int64), tuple(names))

@@ -108,6 +108,15 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     return evaluated
 
 
+def compute_instrument_shares(rides: pd.DataFrame) -> dict[str, float | None]:
+    """Return the share of rides whose energy was measured by voltage and current, and by the state of charge. [1]"""
+    return {
+        name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+        for name in ("vi", "soc")
+        if f"energy_{name}_kwh" in rides
+    }
+
+
 def name_rides(rides: pd.DataFrame) -> list[str]:
     """Return the name of each ride, as every report shows it: `vehicle#ride`.
 

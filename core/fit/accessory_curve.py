@@ -1,4 +1,4 @@
-"""Fit the accessory curve of Figure 1: its choke points and levels, by least squares.
+"""Fit the accessory curve of Figure 1: its choke points and levels, by least squares; and soften it for other fits.
 
 The product w P(T) explains the energy of a ride that the road load does not explain. Here w is the running time of the
 accessories, scaled by the car, and P(T) is their power at the outside temperature T.
@@ -10,6 +10,10 @@ coefficients of the road load.
 The fit first sums rides in narrow bins of temperature and keeps each bin as the triangular factor of its rows. P is a
 straight line within a bin, so the binning is exact except in the four bins where P bends. The work of the solver
 therefore does not grow with the number of rides.
+
+Fits to windows take the mean of P over half a degree on either side (`SOFTENED`), because outside temperature is known
+to about as much. The error of a fit has a corner wherever a choke point passes the temperature of a ride, and the best
+choke point may be at such a corner, where derivatives tell nothing. The mean is smooth.
 
 References
 ----------
@@ -28,13 +32,19 @@ from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 
-CURVE_NUMBERS: Final = 7
-"""Number of parameters of an accessory curve: three levels and four choke points."""
+SOFTENED: Final = 0.5
+"""Half the range of temperatures over which the power is averaged. [K]"""
+LEVELS: Final = ("standby", "heating", "cooling")
+"""Levels of the accessory curve, in the order of `compute_slopes`."""
+CHOKE_POINTS: Final = ("heating_full", "heating_off", "cooling_on", "cooling_full")
+"""Choke points of the accessory curve, ascending."""
+CURVE_NUMBERS: Final = len(LEVELS) + len(CHOKE_POINTS)
+"""Number of parameters of an accessory curve."""
 _LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
 """Range and width of the bins of outside temperature. [°C]"""
 _BINS: Final = round((_HIGH - _LOW) / _WIDTH)
 _CENTRE: Final[Floats] = _LOW + _WIDTH * (np.arange(_BINS, dtype=np.float64) + 0.5)
-_LEAST_GAP: Final = 1.0
+LEAST_GAP: Final = 1.0
 """Smallest distance between two choke points. [K]"""
 _LEAST_RIDES: Final = 70
 """Fewest rides for a fit of the curve: ten for each of its numbers. With fewer, the fit scales the reference curve."""
@@ -108,6 +118,26 @@ class TemperatureBins:
         return _fit(self.sums.tobytes(), self.beside, self.rides >= _LEAST_RIDES)
 
 
+def flatten_curve(curve: AccessoryCurve) -> Floats:
+    """Return the seven numbers of a curve."""
+    return np.array([getattr(curve, name) for name in (*LEVELS, *CHOKE_POINTS)])
+
+
+def build_curve(numbers: Floats) -> AccessoryCurve:
+    """Return the curve of seven numbers, see `flatten_curve`."""
+    return AccessoryCurve(**dict(zip((*LEVELS, *CHOKE_POINTS), numbers.tolist(), strict=True)))
+
+
+def compute_curve_columns(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
+    """Return the derivatives of the accessory power by the seven numbers of its curve.
+
+    Units: returns [W/K].
+    """
+    slopes = compute_slopes(curve, ambient_c)
+    slopes[:, 0] -= slopes[:, 1] + slopes[:, 2]  # there, heating and cooling count from standby
+    return slopes
+
+
 def compute_slopes(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
     """Return the derivatives of the accessory power by the seven numbers of the curve."""
     knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
@@ -149,16 +179,7 @@ def _fit(content: bytes, beside: int, enough: bool) -> AccessoryCurve:
     best = min((_solved(start, binned, low, high) for start in starts), key=lambda result: float(result.cost))
     knots = _knots(best.x, low, high)
     standby, heating, cooling = _levels(knots, binned)[0]
-    heating_full, heating_off, cooling_on, cooling_full = (float(t) + ZERO_CELSIUS for t in knots)
-    return AccessoryCurve(
-        heating_full=heating_full,
-        heating_off=heating_off,
-        cooling_on=cooling_on,
-        cooling_full=cooling_full,
-        heating=float(standby + heating),
-        standby=float(standby),
-        cooling=float(standby + cooling),
-    )
+    return build_curve(np.array([standby, standby + heating, standby + cooling, *(knots + ZERO_CELSIUS)]))
 
 
 def _scaled(sums: Floats) -> AccessoryCurve:
@@ -167,16 +188,9 @@ def _scaled(sums: Floats) -> AccessoryCurve:
     power = ACCESSORIES.power(_CENTRE + off + ZERO_CELSIUS)
     squares = float(sums[:, 0, 0] @ power**2)
     left = sums[:, 0, -1] - sums[:, 0, 2:-1].sum(axis=1)
-    factor = max(float(left @ power) / squares, 0.0) if squares > 0.0 else 1.0
-    return AccessoryCurve(
-        heating_full=ACCESSORIES.heating_full,
-        heating_off=ACCESSORIES.heating_off,
-        cooling_on=ACCESSORIES.cooling_on,
-        cooling_full=ACCESSORIES.cooling_full,
-        heating=factor * ACCESSORIES.heating,
-        standby=factor * ACCESSORIES.standby,
-        cooling=factor * ACCESSORIES.cooling,
-    )
+    numbers = flatten_curve(ACCESSORIES)
+    numbers[: len(LEVELS)] *= max(float(left @ power) / squares, 0.0) if squares > 0.0 else 1.0
+    return build_curve(numbers)
 
 
 def _binned(sums: Floats, centre: Floats) -> _BinFactors:
@@ -234,18 +248,18 @@ def _levels(knots: Floats, binned: _BinFactors) -> tuple[Floats, Floats]:
 def _knots(x: Floats, low: float, high: float) -> Floats:
     """Return choke points between two temperatures; each share divides the range that remains above the last. [°C]"""
     knots = np.empty(4)
-    at = low - _LEAST_GAP
+    at = low - LEAST_GAP
     for i, share in enumerate(x):
-        at += _LEAST_GAP
-        at += share * (high - at - _LEAST_GAP * (3 - i))
+        at += LEAST_GAP
+        at += share * (high - at - LEAST_GAP * (3 - i))
         knots[i] = at
     return knots
 
 
 def _shares(knots: Floats, low: float, high: float) -> Floats:
     """Return the shares that `_knots` converts into these choke points."""
-    before = np.concatenate([[low - _LEAST_GAP], knots[:-1]]) + _LEAST_GAP
-    left = high - before - _LEAST_GAP * np.arange(3, -1, -1)
+    before = np.concatenate([[low - LEAST_GAP], knots[:-1]]) + LEAST_GAP
+    left = high - before - LEAST_GAP * np.arange(3, -1, -1)
     return np.clip((knots - before) / np.maximum(left, 1e-9), 0.001, 0.999)
 
 
@@ -307,3 +321,91 @@ def _solved(start: Floats, binned: _BinFactors, low: float, high: float) -> Any:
         xtol=1e-7,
         ftol=1e-10,
     )
+
+
+class SoftenedPower(NamedTuple):
+    """Hold the mean accessory power about n temperatures, and its derivatives by the numbers of the curve.
+
+    Parameters
+    ----------
+    power : (n,) float
+        Mean power over temperatures within `SOFTENED`. [W]
+    first : (n, 7) float
+        Derivatives by the levels [1] and by the choke points [W/K], in the order of
+        `flatten_curve`.
+    second : (n, 7, 7) float
+        Second derivatives.
+    """
+
+    power: Floats
+    first: Floats
+    second: Floats
+
+
+class _Share(NamedTuple):
+    """Hold the share of a level in the power: 0 where `far` is 0, 1 where `near` is 0, and its derivatives by both."""
+
+    value: Floats
+    far: Floats
+    near: Floats
+    far_far: Floats
+    far_near: Floats
+    near_near: Floats
+
+
+def compute_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
+    """Return the mean accessory power about temperatures."""
+    heat, cool = _compute_shares(curve, ambient_c)
+    heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
+    return np.asarray(curve.standby + heating * heat.value + cooling * cool.value)
+
+
+def differentiate_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> SoftenedPower:
+    """Return the mean accessory power about temperatures, and its derivatives by the numbers of the curve."""
+    heat, cool = _compute_shares(curve, ambient_c)
+    heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
+    heat_by = np.column_stack([heat.near, heat.far])
+    cool_by = -np.column_stack([cool.far, cool.near])
+    levels = (1.0 - heat.value - cool.value, heat.value, cool.value)
+    second = np.zeros((len(ambient_c), 7, 7))
+    second[:, 3, 3], second[:, 3, 4], second[:, 4, 4] = heating * np.array(
+        [heat.near_near, heat.far_near, heat.far_far]
+    )
+    second[:, 5, 5], second[:, 5, 6], second[:, 6, 6] = cooling * np.array(
+        [cool.far_far, cool.far_near, cool.near_near]
+    )
+    second[:, 0, 3:] = -np.column_stack([heat_by, cool_by])
+    second[:, 1, 3:5], second[:, 2, 5:] = heat_by, cool_by
+    upper = np.triu(second, 1)
+    return SoftenedPower(
+        curve.standby + heating * heat.value + cooling * cool.value,
+        np.column_stack([*levels, heating * heat_by, cooling * cool_by]),
+        second + np.swapaxes(upper, 1, 2),
+    )
+
+
+def _compute_shares(curve: AccessoryCurve, ambient_c: Floats) -> tuple[_Share, _Share]:
+    """Return the shares of heating and cooling; cooling counts temperature downwards from its choke points."""
+    ambient = ambient_c + ZERO_CELSIUS
+    heat = _compute_share(curve.heating_off - ambient, curve.heating_full - ambient)
+    return heat, _compute_share(ambient - curve.cooling_on, ambient - curve.cooling_full)
+
+
+def _compute_share(far: Floats, near: Floats) -> _Share:
+    """Return a share, given the distances of temperatures from both choke points. [K]"""
+    width = far - near
+    ramp, slope, bend = _compute_ramp(far)
+    other, other_slope, other_bend = _compute_ramp(near)
+    value = (ramp - other) / width
+    by_far, by_near = (slope - value) / width, (value - other_slope) / width
+    return _Share(
+        value, by_far, by_near,
+        (bend - 2.0 * by_far) / width, (by_far - by_near) / width, (2.0 * by_near - other_bend) / width,
+    )  # fmt: skip
+
+
+def _compute_ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the mean of max(x, 0) over a range of x, and its first and second derivative."""
+    inside = np.clip((x + SOFTENED) / (2.0 * SOFTENED), 0.0, 1.0)
+    bend = np.where(np.abs(x) < SOFTENED, 0.5 / SOFTENED, 0.0)
+    return np.where(x > SOFTENED, x, SOFTENED * inside * inside), inside, bend

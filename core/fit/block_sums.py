@@ -5,24 +5,39 @@ the blocks. Parts may therefore be made anywhere, in any order, and the sums sta
 
 The fits of a block share the columns that are equal for all of them: those of terms without unknown values that do not
 depend on the accessory curve.
+
+The first pass keeps the converted rides for the later ones, so that a fit reads and converts a ride table once. Few
+rides stay in memory. More rides go to a file in the temporary folder, which the system removes when it is closed, even
+after a crash. Ordinary reads bring back one block at a time; a mapped file would count as memory of the process.
 """
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from math import prod
-from typing import Any, Final, NamedTuple, Protocol
+from tempfile import SpooledTemporaryFile
+from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
 from socast.core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins, compute_slopes
 from socast.core.fit.regression import Influence, Moments, Scores, assign_groups, sum_scores
-from socast.core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
+from socast.core.fit.ride_blocks import (
+    ENERGY,
+    NAMES,
+    RideSource,
+    ThinnedRides,
+    convert_to_arrays,
+    group_by_name,
+    select_trainable,
+)
 from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, Columns, list_raw_columns
 from socast.core.models.limit import LIMIT_NEEDS, sum_training
@@ -30,6 +45,8 @@ from socast.core.vehicles import AccessoryCurve
 
 BLOCKS_OF_TASK: Final = 8
 """Number of blocks of rides in a task."""
+IN_MEMORY: Final = 2**23
+"""Size up to which converted rides stay in memory: those of one or two blocks. [B]"""
 
 Block = dict[str, NDArray[Any]]
 
@@ -57,6 +74,10 @@ class FitContext:
 
     Parameters
     ----------
+    terms : tuple of Term
+        Terms without the constant.
+    columns, filled : tuple of str
+        Columns that are read, and those whose unknown values are replaced by their mean.
     road : tuple of Term
         Terms that are fitted together with the accessory curve.
     curved, covariance, constant : bool
@@ -72,26 +93,38 @@ class FitContext:
     curved: bool
     covariance: bool
     constant: bool
-    groups: Mapping[str, GroupContext]
+    groups: Mapping[str, GroupContext] = field(default_factory=dict)
 
 
-class GroupSurvey(NamedTuple):
-    """Hold what a block tells of a group.
+@dataclass
+class GroupSurvey:
+    """Hold what blocks tell of a group.
 
     Parameters
     ----------
-    sums, squares : dict of str to float
-        Their sums, and the sums of their squares.
+    known, sums, squares : (filled,) int64, float, float
+        Number of known values of each column that is filled, their sums, and the sums of their squares.
     taken : (3,) float
         Sums for the limit of predictions, see `socast.core.models.limit.sum_training`.
+    temperatures : TemperatureBins
+        Rides by outside temperature; empty where no term reads the accessory curve.
     """
 
     rides: int
-    known: dict[str, int]
-    sums: dict[str, float]
-    squares: dict[str, float]
+    known: Ints
+    sums: Floats
+    squares: Floats
     taken: Floats
-    temperatures: TemperatureBins | None
+    temperatures: TemperatureBins
+
+    def add(self, other: "GroupSurvey") -> None:
+        """Add what other blocks tell."""
+        self.rides += other.rides
+        self.known += other.known
+        self.sums += other.sums
+        self.squares += other.squares
+        self.taken += other.taken
+        self.temperatures.merge(other.temperatures)
 
 
 class Survey(NamedTuple):
@@ -138,13 +171,8 @@ class TaskSums(NamedTuple):
 BlockFunction = Callable[[FitContext, TrainableRides], Any]
 
 
-class PassRunner(Protocol):
-    """Run the tasks of a pass."""
-
-    def __call__(
-        self, stage: str, function: Callable[..., TaskSums], tasks: Sequence[tuple[Any, ...]], /
-    ) -> Iterator[TaskSums]:
-        """Yield the result of each task, in their order."""
+PassRunner = Callable[[str, Callable[..., TaskSums], Sequence[tuple[Any, ...]]], Iterator[TaskSums]]
+"""Runs the tasks of a pass, given its name, a function and its arguments, and yields their results in their order."""
 
 
 def sum_blocks(context: FitContext, function: BlockFunction, rides: RideSource) -> TaskSums:
@@ -219,30 +247,24 @@ def _find_blas() -> Any:
 
 def _split_rows(block: Block) -> Iterator[tuple[str, Any]]:
     """Yield the rows of each vehicle model, then all rows together."""
-    if VEHICLE_MODEL in block:
-        code, kinds = pd.factorize(block[VEHICLE_MODEL], sort=True)
-        for i, kind in enumerate(kinds):
-            if kind not in {"", ANY}:
-                yield kind, np.flatnonzero(code == i)
+    kinds = group_by_name(block[VEHICLE_MODEL]) if VEHICLE_MODEL in block else {}
+    yield from ((kind, rows) for kind, rows in kinds.items() if kind not in {"", ANY})
     yield ANY, slice(None)
 
 
 def _survey_group(context: FitContext, columns: Columns) -> GroupSurvey:
     """Return the counts and sums of the rides of a group."""
-    known, sums, squares = {}, {}, {}
-    for name in context.filled:
-        values = columns[name]
-        there = np.isfinite(values)
-        values = values if there.all() else values[there]
-        known[name], sums[name], squares[name] = len(values), float(values.sum()), float(values @ values)
-    energy, temperatures = columns[ENERGY], None
-    taken = sum_training(energy, *(columns[name] for name in LIMIT_NEEDS))
+    values = [columns[name] for name in context.filled]
+    values = [column[np.isfinite(column)] for column in values]
+    known, sums = np.array([len(column) for column in values]), np.array([column.sum() for column in values])
+    energy, temperatures = columns[ENERGY], TemperatureBins(len(context.road))
     if context.curved:
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
         left = energy if context.road else energy - BASIC_PHYSICAL.predict_energy(columns)
         road = build_design(context.road, columns, len(energy)).T
-        temperatures = TemperatureBins(len(context.road))
         temperatures.add(columns["ambient_c"], time, left, list(road))
+    taken = sum_training(energy, *(columns[name] for name in LIMIT_NEEDS))
+    squares = np.array([column @ column for column in values])
     return GroupSurvey(len(energy), known, sums, squares, taken, temperatures)
 
 
@@ -289,3 +311,55 @@ def _multiply(context: FitContext, terms: Sequence[int], columns: Columns, table
     """Write the product of the columns of each of these terms to its column of a table."""
     for i in terms:
         table[:, i] = prod(columns[name] for name in context.terms[i].columns)
+
+
+class BlockFile:
+    """Append blocks of converted rides, and iterate over them in their order any number of times.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Columns of numbers to keep, besides those of `socast.core.fit.ride_blocks.NAMES` that a block has.
+    """
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self._columns = [name for name in columns if name not in NAMES]
+        self._file: SpooledTemporaryFile[bytes] = SpooledTemporaryFile(max_size=IN_MEMORY)  # noqa: SIM115 - see `close`
+        self._sizes: list[tuple[int, int]] = []  # rows, and bytes of the names, of each block
+
+    def append(self, block: Mapping[str, NDArray[Any]]) -> None:
+        """Add a block."""
+        numbers = np.stack([block[name] for name in self._columns])
+        names = msgspec.msgpack.encode({name: _pack(block[name]) for name in NAMES if name in block})
+        self._sizes.append((numbers.shape[1], len(names)))
+        try:
+            self._file.write(names)
+            self._file.write(numbers.data)
+        except OSError as error:
+            size = sum(8 * rows * len(self._columns) + packed for rows, packed in self._sizes)
+            raise ModelError(
+                f"a fit needs {size / 1e6:,.1f} MB or more for a temporary file: {error.strerror}; "
+                "set TMPDIR to a folder with more room"
+            ) from error
+
+    def __iter__(self) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yield the blocks as they were appended, with the columns to keep."""
+        self._file.seek(0)
+        for rows, packed in self._sizes:
+            names = msgspec.msgpack.decode(self._file.read(packed), type=dict[str, tuple[bytes, list[str]]])
+            content = self._file.read(8 * rows * len(self._columns))
+            numbers = np.frombuffer(content).reshape(len(self._columns), rows)
+            yield dict(zip(self._columns, numbers, strict=True)) | {
+                name: np.array(values, dtype=object)[np.frombuffer(place, np.int32)]
+                for name, (place, values) in names.items()
+            }
+
+    def close(self) -> None:
+        """Remove the blocks and their file."""
+        self._file.close()
+
+
+def _pack(names: NDArray[Any]) -> tuple[bytes, list[str]]:
+    """Return the place of each name among the distinct names, and these."""
+    place, distinct = pd.factorize(names)
+    return place.astype(np.int32).tobytes(), distinct.tolist()

@@ -15,7 +15,7 @@ Cook, Weisberg, Residuals and Influence in Regression, Chapman and Hall 1982, eq
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,7 +26,7 @@ from scipy.special import gammaln, stdtrit
 from socast.core.batch import Floats, Ints
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.regression import CUTOFF
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, group_by_name, select_trainable
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
 from socast.core.models.features import Columns, list_raw_columns
 from socast.core.models.interval import PredictionInterval, compute_scale_terms
@@ -95,7 +95,7 @@ class HeldOutErrors(NamedTuple):
     distance: Floats
 
 
-def collect_errors(error: Floats, columns: Columns) -> HeldOutErrors:
+def _collect_errors(error: Floats, columns: Columns) -> HeldOutErrors:
     """Return errors together with the columns on which their scale depends.
 
     Units: error [kWh].
@@ -133,7 +133,14 @@ def calibrate_interval(
         quantiles=tuple(tuple(row.tolist()) for row in rows),
         rides=len(over),
     )
-    return found if len(unseen) < 2 else _widen_for_unseen(found, _join_rides(unseen))
+    if len(unseen) < 2:
+        return found
+    others = _join_rides(unseen)
+    scale = _fit_scale(others)
+    factor = float(np.quantile(_find_factors(found, others, scale), _UNSEEN_LEVEL))
+    usual = np.mean([own for key, own in found.scales.items() if key != ANY], axis=0)
+    widest = np.maximum(scale * factor, usual)
+    return msgspec.structs.replace(found, scales=found.scales | {ANY: _three(widest)})
 
 
 def expect_interval(seen: Mapping[str, HeldOutErrors]) -> PredictionInterval | None:
@@ -203,15 +210,6 @@ def _find_classes(distance: Floats) -> list[float]:
     return starts
 
 
-def _widen_for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
-    """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
-    scale = _fit_scale(unseen)
-    factor = float(np.quantile(_find_factors(interval, unseen, scale), _UNSEEN_LEVEL))
-    usual = [own for key, own in interval.scales.items() if key != ANY]
-    widest = np.maximum(scale * factor, np.mean(usual, axis=0))
-    return msgspec.structs.replace(interval, scales=interval.scales | {ANY: _three(widest)})
-
-
 def widen_for_unseen_cars(
     interval: PredictionInterval | None, held: Mapping[str, HeldOutErrors], cars: Sequence[str]
 ) -> PredictionInterval | None:
@@ -257,12 +255,11 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
     if any(column not in rides for column in (*NEEDS, ENERGY)):
         return model
     good, _ = select_trainable(rides, [*model.needs, ENERGY])
-    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
     common = _find_residuals(model, ANY, good, np.arange(len(good)), fitted=fitted)
-    for key in sorted(set(kinds)):
-        rows = np.flatnonzero(kinds == key)
-        own[rows] = _leave_out_each(*_find_residuals(model, key, good, rows, fitted=fitted))
+    for key, rows in group_by_name(get_names(good, VEHICLE_MODEL)).items():
+        left, basis = _find_residuals(model, key, good, rows, fitted=fitted)
+        own[rows] = left / (1.0 - np.minimum(np.einsum("ij,ij->i", basis, basis), 0.99))
         every[rows] = _leave_out_group(*common, rows)
     unseen = group_errors(good, every) if ANY in model.fits else {}
     return stamp(msgspec.structs.replace(model, interval=calibrate_interval(group_errors(good, own), unseen)))
@@ -286,12 +283,6 @@ def _find_residuals(
     return left, table / scale @ (vectors[:, kept] / np.sqrt(values[kept]))
 
 
-def _leave_out_each(left: Floats, basis: Floats) -> Floats:
-    """Return the error of each ride under a fit without this ride."""
-    leverage = np.minimum(np.einsum("ij,ij->i", basis, basis), 0.99)
-    return left / (1.0 - leverage)
-
-
 def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
     """Return the errors of a group of rides under a fit without the whole group: (I - H_gg)^-1 e_g."""
     own = basis[out]
@@ -302,9 +293,7 @@ def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
 
 def group_errors(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
     """Return errors by vehicle model."""
-    kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
-    found: dict[str, Any] = {}
-    for key in sorted(set(kinds)):
-        rows = np.flatnonzero(kinds == key)
-        found[key or ANY] = collect_errors(error[rows], Columns(rides, rows=rows))
-    return found
+    return {
+        key or ANY: _collect_errors(error[rows], Columns(rides, rows=rows))
+        for key, rows in group_by_name(get_names(rides, VEHICLE_MODEL)).items()
+    }

@@ -21,13 +21,12 @@ import pandas as pd
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from socast.core.fit.block_sums import build_design
-from socast.core.fit.distortions import DISTORTIONS
+from socast.core.fit.accessory_curve import LEVELS
 from socast.core.fit.nested_effects import SHARED, integrate_car_factor
-from socast.core.fit.priors import LEVELS, compute_curve_columns, is_curved
+from socast.core.fit.priors import is_curved
 from socast.core.fit.records import Determination
-from socast.core.fit.window_problem import GroupRows
-from socast.core.fit.window_solver import GroupFit
+from socast.core.fit.window_fit import build_prediction_columns
+from socast.core.fit.window_solver import GroupFit, GroupRows
 from socast.core.models import Term
 from socast.core.models.features import EFFECT_PREFIX, Columns
 from socast.core.vehicles.fleet import CarParameters
@@ -101,12 +100,12 @@ def determine_terms(
         names |= {f"accessories: {level}": group.terms + i for i, level in enumerate(LEVELS)}
     before = np.sqrt(np.diag(group.prior.covariance))
     cars = integrate_car_factor(fitted.elimination.cars, fitted.spreads.car).sums
-    known = _Knowledge(before, cars.sum(axis=0)[: len(before), : len(before)])
-    share = known.compute_shares()
+    known = cars.sum(axis=0)[: len(before), : len(before)]
+    share = _compute_shares(before, known)
     rest = [i for i in names.values() if share[i] > DETERMINED]
-    days = known.count(rest, known.information / max(len(group.car), 1), MOST_DAYS)
+    days = _count(before, known, rest, known / max(len(group.car), 1), MOST_DAYS)
     drives = {
-        name: known.count(rest, _inform(plain, group, fitted, figures, drive), MOST_DRIVES)
+        name: _count(before, known, rest, _inform(plain, group, fitted, figures, drive), MOST_DRIVES)
         for name, drive in DRIVES.items()
         if rest
     }
@@ -127,28 +126,20 @@ def determine_terms(
     return found
 
 
-class _Knowledge:
-    """Hold the standard deviations of the prior, and the information of the rides."""
+def _compute_shares(before: Floats, information: Floats) -> Floats:
+    """Return each standard deviation, given some information, over that of the prior. [1]"""
+    return np.sqrt(np.diag(np.linalg.inv(np.eye(len(before)) + information * np.outer(before, before))))
 
-    def __init__(self, before: Floats, information: Floats) -> None:
-        self.before = before
-        self.information = information
 
-    def compute_shares(self, more: Floats | None = None) -> Floats:
-        """Return each standard deviation over that of the prior, with more information than that of the rides. [1]"""
-        total = self.information if more is None else self.information + more
-        scaled = np.eye(len(self.before)) + total * np.outer(self.before, self.before)
-        return np.sqrt(np.diag(np.linalg.inv(scaled)))
-
-    def count(self, rest: Sequence[int], each: Floats, most: int) -> dict[int, int]:
-        """Return how many times an information determines each coefficient of `rest`, without those it does not."""
-        found: dict[int, int] = {}
-        for number in _list_counts(most):
-            share = self.compute_shares(number * each)
-            found |= {i: number for i in rest if i not in found and share[i] <= DETERMINED}
-            if len(found) == len(rest):
-                break
-        return found
+def _count(before: Floats, information: Floats, rest: Sequence[int], each: Floats, most: int) -> dict[int, int]:
+    """Return how many times an information determines each coefficient of `rest`, without those it does not."""
+    found: dict[int, int] = {}
+    for number in _list_counts(most):
+        share = _compute_shares(before, information + number * each)
+        found |= {i: number for i in rest if i not in found and share[i] <= DETERMINED}
+        if len(found) == len(rest):
+            break
+    return found
 
 
 def _list_counts(most: int) -> list[int]:
@@ -177,11 +168,7 @@ def _inform(
     minutes = min(max(round(60.0 * float(np.mean(hours))), 1), MINUTES)
     table = _simulate_drive(plain, figures, minutes, drive)
     columns = Columns(table)
-    parts = [build_design(plain, columns, len(table)), np.zeros((len(table), len(DISTORTIONS)))]
-    if fitted.curve is not None:
-        time = table["duration_s"].to_numpy() * table["accessory_scale"].to_numpy() / JOULES_PER_KWH
-        parts.append(compute_curve_columns(fitted.curve, table["ambient_c"].to_numpy()) * time[:, np.newaxis])
-    design = np.column_stack(parts)
+    design, _ = build_prediction_columns(plain, columns, len(table), fitted.curve)
     weight = fitted.products.sums[:, -2, -2].sum() / float(hours @ hours)  # the mean weight of a row of the fit
     spreads = fitted.spreads
     shared = np.column_stack(

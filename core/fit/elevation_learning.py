@@ -201,11 +201,6 @@ def _find_corners(row: Floats, column: Floats, k: int) -> list[tuple[Ints, Float
     ]
 
 
-def _number_values(values: Ints) -> Ints:
-    """Return the place of each value among the different values."""
-    return np.asarray(np.unique(values, return_inverse=True)[1])
-
-
 class _System:
     """The linear model of the fixes."""
 
@@ -282,8 +277,10 @@ def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]
     scale = float(np.cos(np.median(fixes.latitude)))  # makes the cells square
     steps = SPACING / EARTH_RADIUS, SPACING / (EARTH_RADIUS * scale)
     row, column = fixes.latitude / steps[0], fixes.longitude / steps[1]
-    car = _number_values(fixes.car)
-    ride = _number_values(fixes.car * (int(fixes.ride.max()) + 2) + fixes.ride)
+    car, ride = (
+        np.unique(code, return_inverse=True)[1]
+        for code in (fixes.car, fixes.car * (int(fixes.ride.max()) + 2) + fixes.ride)
+    )
     columns = _Columns(row, column)
     rng = np.random.default_rng(SEED)
     system = _make_system(columns.design(row, column)[0], columns, ride, car)

@@ -29,9 +29,9 @@ shape of the curve.
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
-from math import prod, sqrt
+from math import prod
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -40,15 +40,15 @@ from msgspec import UNSET
 from socast.core.batch import Floats
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
-from socast.core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins
-from socast.core.fit.block_file import BlockFile
+from socast.core.fit.accessory_curve import CURVE_NUMBERS
 from socast.core.fit.block_sums import (
     BLOCKS_OF_TASK,
+    BlockFile,
     BlockFunction,
     FitContext,
     GroupContext,
+    GroupSurvey,
     PassRunner,
-    Survey,
     TrainableRides,
     convert_blocks,
     limit_to_one_thread,
@@ -61,8 +61,14 @@ from socast.core.fit.records import FitStep
 from socast.core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
 from socast.core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
 from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from socast.core.models.derived_features import DERIVED_COLUMNS
-from socast.core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
+from socast.core.models.features import (
+    ACCESSORIES_COLUMN,
+    ACCESSORY_NEEDS,
+    DERIVED_COLUMNS,
+    EFFECT_PREFIX,
+    FEATURES,
+    list_raw_columns,
+)
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit
 from socast.core.vehicles import AccessoryCurve
 from socast.core.vehicles.fleet import CarParameters
@@ -96,16 +102,18 @@ class FitPlan(Protocol):
 
 @dataclass
 class _GroupFit:
-    """Collect the sums and results of the rides of one vehicle model, or of all rides."""
+    """Collect the sums and results of the rides of one vehicle model, or of all rides.
 
-    rides: int = 0
-    known: Counter[str] = field(default_factory=Counter)
-    sums: dict[str, float] = field(default_factory=dict)
-    squares: dict[str, float] = field(default_factory=dict)
-    taken: Floats = field(default_factory=lambda: np.zeros(3))
-    temperatures: TemperatureBins = field(default_factory=TemperatureBins)
-    fills: dict[str, float] = field(default_factory=dict)
-    curve: AccessoryCurve | None = None
+    Parameters
+    ----------
+    fills, sizes : dict of str to float
+        Mean and root mean square of each column that is filled; 0 and 1 where it is unknown in all rides.
+    """
+
+    survey: GroupSurvey
+    fills: dict[str, float]
+    sizes: dict[str, float]
+    curve: AccessoryCurve | None
     moments: Moments = field(default_factory=lambda: Moments(0))
     solution: Solution | None = None
     influence: Influence | None = None
@@ -146,49 +154,65 @@ class _Fitting:
     """Run the passes over the blocks, and keep their results."""
 
     def __init__(self, plan: FitPlan, rides: RideSource, *, covariance: bool, run: PassRunner | None) -> None:
-        self.plan, self.run = plan, run
-        self.covariance = covariance
-        self.rides = rides
-        self.terms = plan.terms
+        self.plan, self.rides, self.run = plan, rides, run
         read = dict.fromkeys(column for term in plan.terms for column in term.columns)
-        self.curved = ACCESSORIES_COLUMN in read
+        curved = ACCESSORIES_COLUMN in read
         raw = dict.fromkeys(name for column in read for name in list_raw_columns(column))
-        basic = BASIC_PHYSICAL.needs if self.curved else ()
-        self.columns = list(dict.fromkeys((*raw, *basic, *LIMIT_NEEDS, ENERGY)))
+        basic = BASIC_PHYSICAL.needs if curved else ()
+        filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if curved else ())))
+        place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
+        sloped = [i for i in range(len(plan.terms)) if i != place]
+        self.order = sloped if place is None else [*sloped, place]
+        self.context = FitContext(
+            terms=tuple(plan.terms[i] for i in sloped),
+            columns=tuple(dict.fromkeys((*raw, *basic, *LIMIT_NEEDS, ENERGY))),
+            filled=tuple(
+                c for c in filled if (c in FEATURES and c not in CarParameters._fields) or c in DERIVED_COLUMNS
+            ),
+            road=tuple(t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)),
+            curved=curved,
+            covariance=covariance,
+            constant=place is not None,
+        )
         self.kept = BlockFile((*raw, ENERGY))
-        filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
-        self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
-        self.filled = [c for c in filled if (c in FEATURES and c not in CarParameters._fields) or c in DERIVED_COLUMNS]
-        self.place = next((i for i, term in enumerate(plan.terms) if not term.columns), None)
-        self.sloped = [i for i in range(len(plan.terms)) if i != self.place]
-        self.groups: dict[str, _GroupFit] = {ANY: self._make_group()}
-        self.counts: dict[str, int] = {}
+        self.surveys: dict[str, GroupSurvey] = {}
+        self.groups: dict[str, _GroupFit] = {}
         self.only: str | None = None
         self.left_out: Counter[str] = Counter()
-        self.dates: tuple[str, str] = ("", "")
-        self.digests = {name: sha256() for name in (*self.columns, VEHICLE_MODEL)}
+        self.dates: list[str] = []
+        self.digests = {name: sha256() for name in (*self.context.columns, VEHICLE_MODEL)}
 
     def survey(self) -> None:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
-        for survey in self._survey_blocks() if self.run is None else self._run_tasks("survey", survey_block):
-            self._take_survey(survey)
-        least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else CURVE_NUMBERS if self.curved else 1)
-        rides = self.groups[ANY].rides
+        for survey in self._pass_over("survey", survey_block):
+            self.left_out.update(survey.left_out)
+            self.dates += survey.dates
+            for name, content in survey.content.items():
+                self.digests[name].update(content)
+            for key, own in survey.groups.items():
+                if key in self.surveys:
+                    self.surveys[key].add(own)
+                else:
+                    self.surveys[key] = own
+        fitted = len(self.plan.terms) if self.plan.free else CURVE_NUMBERS if self.context.curved else 1
+        least, rides = _RIDES_PER_COEFFICIENT * fitted, self.surveys[ANY].rides if self.surveys else 0
         if rides < least:
             raise ModelError(word_too_few_rides(self.plan.name, rides, least, self.left_out))
-        self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
-        self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}
-        if max(self.counts.values(), default=0) == rides:  # with one vehicle model, its fit equals that of all rides
-            self.only = self.groups.popitem()[0]
-        for group in self.groups.values():
-            group.fills = {c: group.sums[c] / group.known[c] if group.known[c] else 0.0 for c in self.filled}
-            group.curve = group.temperatures.fit() if self.curved else None
+        # with one vehicle model, its fit equals that of all rides
+        self.only = next((key for key, own in self.surveys.items() if own.rides == rides and key != ANY), None)
+        for key, own in self.surveys.items():
+            if own.rides >= least and key != self.only:
+                known = np.maximum(own.known, 1)
+                sizes = np.where(own.known > 0, np.sqrt(own.squares / known), 1.0)
+                fills = dict(zip(self.context.filled, (own.sums / known).tolist(), strict=True))
+                curve = own.temperatures.fit() if self.context.curved else None
+                self.groups[key] = _GroupFit(own, fills, dict(zip(fills, sizes.tolist(), strict=True)), curve)
 
     def solve(self) -> None:
         """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
-        for moments in self._sum_blocks("moments", sum_moments):
+        for moments in self._pass_over("moments", sum_moments):
             for key, own in moments.items():
                 group = self.groups[key]
                 if not group.moments.rows:
@@ -200,7 +224,7 @@ class _Fitting:
 
     def residuals(self) -> None:
         """Pass over the rides for the residuals of the fits."""
-        for residuals in self._sum_blocks("residuals", sum_residuals):
+        for residuals in self._pass_over("residuals", sum_residuals):
             for key, own in residuals.items():
                 group = self.groups[key]
                 group.absolute += own.absolute
@@ -211,108 +235,68 @@ class _Fitting:
 
     def model(self) -> LinearModel:
         """Return the model that the passes have determined."""
-        every = self.groups[ANY]
+        every = self.surveys[ANY]
         digest = sha256()
         for name, part in sorted(self.digests.items()):
             digest.update(name.encode() + part.digest())
+        filled = zip(self.context.filled, (every.rides - every.known).tolist(), strict=True)
         training = Training(
             rides=every.rides,
-            first_date=self.dates[0],
-            last_date=self.dates[1],
-            vehicle_models=self.counts,
+            first_date=min(self.dates, default=""),
+            last_date=max(self.dates, default=""),
+            vehicle_models={key: own.rides for key, own in sorted(self.surveys.items()) if key != ANY},
             fingerprint=digest.hexdigest(),
-            filled={c: n for c in self.filled if (n := every.rides - every.known[c])},
+            filled={name: unknown for name, unknown in filled if unknown},
             left_out=dict(sorted(self.left_out.items())),
         )
-        errors = {key: group.absolute / group.rides for key, group in sorted(self.groups.items()) if group.absolute}
-        if self.only is not None and errors:
-            errors[self.only] = errors[ANY]
-        step = FitStep(action="fit", recipe=self.plan.name, mae_in_sample_kwh=errors)
+        errors = {key: own.absolute / own.survey.rides for key, own in sorted(self.groups.items()) if own.absolute}
         fits = {key: self._fit(group) for key, group in sorted(self.groups.items())}
+        if self.only is not None:
+            fits[self.only] = fits[ANY]
+            errors |= {self.only: errors[ANY]} if errors else {}
+        step = FitStep(action="fit", recipe=self.plan.name, mae_in_sample_kwh=errors)
         model = LinearModel(
             name=self.plan.name,
             version="",
             recipe=self.plan.name,
-            terms=self.terms,
-            fits=fits if self.only is None else fits | {self.only: fits[ANY]},
+            terms=self.plan.terms,
+            fits=fits,
             training=training,
             history=(step.to_json(),) if errors else (),
         )
         return stamp(model)
 
-    def _make_group(self) -> _GroupFit:
-        """Return an empty group of rides."""
-        return _GroupFit(temperatures=TemperatureBins(len(self.road)))
+    def _pass_over(self, stage: str, function: BlockFunction) -> Iterator[Any]:
+        """Yield the parts of a pass in the order of the blocks; the first one keeps the rides for the others."""
+        context = replace(self.context, groups={key: self._describe(group) for key, group in self.groups.items()})
+        if self.run is not None:
+            tasks = [(context, function, part) for part in self.rides.divide(BLOCKS_OF_TASK)]
+            for sums in self.run(stage, sum_blocks, tasks):
+                if isinstance(self.rides, ThinnedRides):
+                    self.rides.kept += sums.kept
+                yield from sums.parts
+        elif function is survey_block:
+            for block in convert_blocks(context, self.rides):
+                yield function(context, block)
+                if block.table:
+                    self.kept.append(block.table)
+        else:
+            yield from (function(context, TrainableRides(table, Counter())) for table in self.kept)
 
-    def _survey_blocks(self) -> Iterator[Survey]:
-        """Yield the first pass over each block, and keep the rides for the other passes."""
-        context = self._make_context()
-        for block in convert_blocks(context, self.rides):
-            yield survey_block(context, block)
-            if block.table:
-                self.kept.append(block.table)
-
-    def _sum_blocks(self, stage: str, function: BlockFunction) -> Iterator[Any]:
-        """Yield the parts of a later pass in the order of the blocks."""
-        if self.run is None:
-            context = self._make_context()
-            return (function(context, TrainableRides(table, Counter())) for table in self.kept)
-        return self._run_tasks(stage, function)
-
-    def _run_tasks(self, stage: str, function: BlockFunction) -> Iterator[Any]:
-        """Yield the parts of a pass by tasks, in the order of the blocks."""
-        context, run = self._make_context(), self.run
-        tasks = [(context, function, part) for part in self.rides.divide(BLOCKS_OF_TASK)]
-        for sums in run(stage, sum_blocks, tasks) if run else ():
-            if isinstance(self.rides, ThinnedRides):
-                self.rides.kept += sums.kept
-            yield from sums.parts
-
-    def _make_context(self) -> FitContext:
-        """Return what the next pass needs to know."""
-        return FitContext(
-            tuple(self.terms[i] for i in self.sloped),
-            tuple(self.columns),
-            tuple(self.filled),
-            tuple(self.road),
-            self.curved,
-            self.covariance,
-            self.place is not None,
-            {key: self._describe(group) for key, group in self.groups.items()},
-        )
-
-    def _describe(self, group: _GroupFit) -> GroupContext:
+    @staticmethod
+    def _describe(group: _GroupFit) -> GroupContext:
         """Return what the next pass needs to know of a group."""
         if group.solution is None:
             return GroupContext(group.fills, group.curve)
-        coefficients, constant = self._solve_group(group)
+        coefficients, constant = group.solution.coefficients, group.solution.constant or 0.0
         return GroupContext(group.fills, group.curve, coefficients, constant, group.influence)
-
-    def _take_survey(self, survey: Survey) -> None:
-        """Add a block to the fingerprint, the dates, the means that fill unknown values and the accessory curves."""
-        self.left_out.update(survey.left_out)
-        for name, content in survey.content.items():
-            self.digests[name].update(content)
-        if survey.dates:
-            first, last = self.dates
-            self.dates = (min(first or survey.dates[0], survey.dates[0]), max(last, survey.dates[1]))
-        for key, own in survey.groups.items():
-            group = self.groups.setdefault(key, self._make_group())
-            group.rides += own.rides
-            group.known.update(own.known)
-            for name, total in own.sums.items():
-                group.sums[name] = group.sums.get(name, 0.0) + total
-                group.squares[name] = group.squares.get(name, 0.0) + own.squares[name]
-            group.taken = group.taken + own.taken
-            if own.temperatures is not None:
-                group.temperatures.merge(own.temperatures)
 
     def _check_varies(self) -> None:
         """Raise ModelError if all rides are alike."""
         moments = self.groups[ANY].moments
         size = np.sqrt(np.diag(moments.sums(centred=False)))
         varies = np.sqrt(np.maximum(np.diag(moments.scatter), 0.0)) > NO_VARIATION * size
-        if not varies[: len(self.sloped)].any():
+        if not varies[: len(self.context.terms)].any():
             raise ModelError(f"recipe {self.plan.name}: all {moments.rows:,} rides are alike: nothing can be learned")
         if not varies[-1]:
             raise ModelError(
@@ -322,27 +306,26 @@ class _Fitting:
 
     def _solve(self, group: _GroupFit) -> None:
         """Solve a group's normal equations, and hold coefficients near physics that the rides do not determine."""
-        constant = self.place is not None
+        constant, terms = self.context.constant, self.context.terms
         empty = self._find_empty(group)
         group.moments.clear(empty)
-        group.dropped = tuple(self.terms[self.sloped[i]].name for i in empty)
-        moments = group.moments.only([*range(len(self.sloped)), -1])
+        group.dropped = tuple(terms[i].name for i in empty)
+        moments = group.moments.only([*range(len(terms)), -1])
         hills = self._build_hills(group)
         solution = solve(moments, constant=constant, least=hills)
         weight, toward, group.held = self._make_prior(group, moments, solution)
         if group.held:
             solution = solve(moments, constant=constant, weight=weight, toward=toward, least=hills)
         group.solution = solution
-        if self.covariance:
-            terms = [self.terms[i].columns for i in self.sloped]
-            beside = terms.index((ACCESSORIES_COLUMN,)) if (ACCESSORIES_COLUMN,) in terms else None
+        if self.context.covariance:
+            beside = next((i for i, term in enumerate(terms) if term.columns == (ACCESSORIES_COLUMN,)), None)
             group.influence = Influence(group.moments, solution, beside)
 
     def _find_empty(self, group: _GroupFit) -> list[int]:
         """Return the positions of the terms whose column is constant or nothing but rounding, except physical ones."""
         size, root = self._measure_columns(group.moments), np.sqrt(group.moments.rows)
         empty = []
-        for i, term in enumerate(self._sloped_terms):
+        for i, term in enumerate(self.context.terms):
             least = NO_VARIATION * np.hypot(size[i], root * group.moments.mean[i])
             for main in self._physical:
                 if (by := self._measure_factors(group, term, main)) is not None:
@@ -356,7 +339,7 @@ class _Fitting:
         size = self._measure_columns(moments)
         weight, toward, held = np.zeros(len(size) - 1), np.zeros(len(size) - 1), []
         least = max(free.variance, 1e-9 * size[-1] ** 2 / moments.rows) if free.freedom > 0 else size[-1] ** 2
-        terms = self._sloped_terms
+        terms = self.context.terms
         for main in self._physical:
             of_main = size[terms.index(main)]
             for i, term in enumerate(terms):
@@ -370,9 +353,9 @@ class _Fitting:
 
     def _build_hills(self, group: _GroupFit) -> Floats | None:
         """Return what a hill, up and down, adds to each column of a mean ride, linearly and by its square; or None."""
-        mean = dict(zip([term.columns for term in self._sloped_terms], group.moments.mean, strict=False))
-        hills = np.zeros((2, len(self.sloped)))
-        for i, term in enumerate(self._sloped_terms):
+        mean = dict(zip([term.columns for term in self.context.terms], group.moments.mean, strict=False))
+        hills = np.zeros((2, len(self.context.terms)))
+        for i, term in enumerate(self.context.terms):
             others = tuple(column for column in term.columns if column not in _ALTITUDES)
             power = len(term.columns) - len(others)
             if power and "effect_climbing" not in others and term.name not in group.dropped:
@@ -383,17 +366,12 @@ class _Fitting:
 
     def _measure_columns(self, moments: Moments) -> Floats:
         """Return the root of the sum of squares of each column, about its mean where there is a constant."""
-        return np.sqrt(np.maximum(np.diag(moments.sums(centred=self.place is not None)), 0.0))
-
-    @property
-    def _sloped_terms(self) -> list[Term]:
-        """Return the terms without the constant."""
-        return [self.terms[i] for i in self.sloped]
+        return np.sqrt(np.maximum(np.diag(moments.sums(centred=self.context.constant)), 0.0))
 
     @property
     def _physical(self) -> list[Term]:
         """Return the terms whose coefficient is 1 where physics holds."""
-        return [term for term in self._sloped_terms if term.unit == "1" and term.columns[0] in PHYSICS]
+        return [term for term in self.context.terms if term.unit == "1" and term.columns[0] in PHYSICS]
 
     @staticmethod
     def _measure_factors(group: _GroupFit, term: Term, main: Term) -> float | None:
@@ -401,47 +379,30 @@ class _Fitting:
         others = len(term.columns) - len(main.columns)
         if term.columns[others:] != main.columns:
             return None
-        known, squares = group.known, group.squares
-        return prod(sqrt(squares[c] / known[c]) if known.get(c) else 1.0 for c in term.columns[:others])
-
-    def _solve_group(self, group: _GroupFit) -> tuple[Floats, float]:
-        """Return the coefficients and the constant of a group."""
-        if group.solution is None:
-            return np.ones(len(self.sloped)), 0.0
-        return group.solution.coefficients, group.solution.constant or 0.0
+        return prod(group.sizes.get(c, 1.0) for c in term.columns[:others])
 
     def _fit(self, group: _GroupFit) -> Fit:
         """Return the fit of a group as a model file stores it."""
         solution, influence, scores = group.solution, group.influence, group.scores
-        coefficients, constant = self._solve_group(group)
-        values = np.empty(len(self.terms))
-        values[self._order] = [*coefficients, *([] if self.place is None else [constant])]
+        values, covariance = np.ones(len(self.order)), None
+        squared, freedom = group.squared, group.survey.rides
+        if solution is not None:
+            squared, freedom = solution.residual, solution.freedom
+            values[self.order] = [*solution.coefficients, *([solution.constant] if self.context.constant else [])]
         robust = scores is not None and scores.groups >= LEAST_GROUPS
-        covariance = None
         if influence is not None:
-            covariance = influence.robust(scores) if robust and scores else influence.classical()
-        squared = solution.residual if solution is not None else group.squared
-        freedom = solution.freedom if solution is not None else group.rides
+            found = influence.robust(scores) if robust and scores else influence.classical()
+            covariance = np.empty_like(found)
+            covariance[np.ix_(self.order, self.order)] = found
         return Fit(
             coefficients=tuple(values.tolist()),
-            covariance=None if covariance is None else self._reorder(covariance),
+            covariance=None if covariance is None else tuple(map(tuple, covariance.tolist())),
             clusters=scores.groups if robust and scores else None,
             fills=group.fills,
             curve=group.curve,
-            rides=group.rides,
+            rides=group.survey.rides,
             residual_sd_kwh=float(np.sqrt(squared / freedom)) if freedom > 0 and squared else None,
             held=group.held,
             dropped=group.dropped or UNSET,
-            limit=EnergyLimit.of_training(*group.taken.tolist()) or UNSET,
+            limit=EnergyLimit.of_training(*group.survey.taken.tolist()) or UNSET,
         )
-
-    @property
-    def _order(self) -> list[int]:
-        """Return the positions of the solution's coefficients, and of its constant, among the terms."""
-        return [*self.sloped, *([] if self.place is None else [self.place])]
-
-    def _reorder(self, covariance: Floats) -> tuple[tuple[float, ...], ...]:
-        """Return a covariance reordered to the order of the terms."""
-        out = np.empty_like(covariance)
-        out[np.ix_(self._order, self._order)] = covariance
-        return tuple(tuple(row) for row in out.tolist())

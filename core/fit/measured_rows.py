@@ -18,7 +18,7 @@ import pandas as pd
 
 from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import is_metered
-from socast.core.fit.ride_blocks import ENERGY, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, find_measured, get_numbers
 
 RIDE_COLUMNS: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
 """Columns of the ride table that each window receives."""
@@ -37,9 +37,7 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     place = keys.get_indexer(windows["ride_key"])
     if len(rides) and not (place >= 0).any():
         raise ModelError("no window belongs to any of the rides: give the windows.parquet that was made with the rides")
-    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
-    good = fit & np.isfinite(get_numbers(rides, ENERGY))
-    by_power = is_metered(rides)
+    good, by_power = find_measured(rides), is_metered(rides)
     own = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
     own |= {ENERGY: get_numbers(windows, "energy_vi_kwh"), ENERGY_SD: get_numbers(windows, "energy_vi_sd_kwh")}
     kept = (

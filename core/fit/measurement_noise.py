@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
-from socast.core.fit.ride_blocks import ENERGY, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, get_numbers, get_numbers_if_present
 from socast.core.totals.measured_energy import METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
@@ -23,7 +23,7 @@ MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
 
 def is_metered(table: pd.DataFrame) -> NDArray[np.bool_]:
     """Return which rides or windows are measured by voltage and current, not by the state of charge, (n,)."""
-    return np.asarray(get_numbers(table, ENERGY) == _read(table, "energy_vi_kwh"))
+    return np.asarray(get_numbers(table, ENERGY) == get_numbers_if_present(table, "energy_vi_kwh"))
 
 
 def compute_noise_variance(table: pd.DataFrame) -> Floats:
@@ -41,8 +41,8 @@ def compute_noise_variance(table: pd.DataFrame) -> Floats:
     array([0.0009])
     """
     energy = get_numbers(table, ENERGY)
-    power = _read(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
-    charge = _read(table, "energy_soc_noise_kwh") ** 2
+    power = get_numbers_if_present(table, "energy_vi_sd_kwh") ** 2 - (METER_GAIN * energy) ** 2
+    charge = get_numbers_if_present(table, "energy_soc_noise_kwh") ** 2
     return np.maximum(np.where(is_metered(table), power, charge), 0.0)
 
 
@@ -71,8 +71,3 @@ def compute_noise_floor(variance: Floats) -> float:
     """
     known = np.sqrt(variance[np.isfinite(variance)])
     return float(MEAN_OVER_SD * known.mean()) if len(known) else float("nan")
-
-
-def _read(table: pd.DataFrame, name: str) -> Floats:
-    """Return a column, NaN where the table does not have it."""
-    return get_numbers(table, name) if name in table else np.full(len(table), np.nan)

@@ -8,7 +8,6 @@ The figures of the car from the catalogue scale the terms, so that their coeffic
 One of these figures, `accessory_scale`, is an estimate, for some cars from their own drives.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -38,7 +37,7 @@ from socast.core.fit.partial_pooling import (
     sum_normal_equations,
 )
 from socast.core.fit.records import FitStep
-from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
+from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, group_by_name, select_trainable
 from socast.core.fit.trees import fit_trees
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamp
 from socast.core.models.features import Columns, derive_coefficient_unit, list_raw_columns
@@ -226,38 +225,35 @@ class PooledRecipe:
         """
         _check(self.name, rides, _raw(self.terms, TREE_FEATURES))
         with limit_to_one_thread():
-            return stamp(self._fitted(rides, covariance=covariance))
-
-    def _fitted(self, rides: pd.DataFrame, *, covariance: bool) -> LinearModel:
-        """Return the model, see `fit`."""
-        start = fit_terms(self, RideFrame(rides), covariance=False)
-        groups = dict(_groups(start, rides))
-        _check_varies(self.name, groups)
-        sums = {key: group.sums() for key, group in groups.items()}
-        prior = self._prior(sums)
-        fits = {ANY: _fit(start.fits[ANY], prior, prior.mean, prior.covariance)}
-        learned = {key: self._learn(prior, group) for key, group in groups.items()}
-        errors = {}
-        for key, own in learned.items():
-            left = groups[key].energy - own.predict(groups[key])
-            errors[key] = float(np.abs(left).mean())
-            if key != ANY:
-                fits[key] = _fit(
-                    start.fits.get(key, start.fits[ANY]),
-                    own.prior,
-                    own.coefficients,
-                    own.covariance,
-                    rides=len(left),
-                    residual_sd_kwh=float(np.sqrt(np.mean(left**2))),
-                )
-        return msgspec.structs.replace(
+            start = fit_terms(self, RideFrame(rides), covariance=False)
+            groups = _group_by_vehicle_model(start, rides)
+            _check_varies(self.name, groups)
+            sums = {key: group.sums() for key, group in groups.items()}
+            prior = self._prior(sums)
+            learned = {key: self._learn(prior, group) for key, group in groups.items()}
+            interval = self._interval(groups, sums) if covariance else None
+            fits, errors = {ANY: _fit(start.fits[ANY], prior, prior.mean, prior.covariance)}, {}
+            for key, own in learned.items():
+                left = groups[key].energy - own.predict(groups[key])
+                errors[key] = float(np.abs(left).mean())
+                if key != ANY:
+                    fits[key] = _fit(
+                        start.fits.get(key, start.fits[ANY]),
+                        own.prior,
+                        own.coefficients,
+                        own.covariance,
+                        rides=len(left),
+                        residual_sd_kwh=float(np.sqrt(np.mean(left**2))),
+                    )
+        fitted = msgspec.structs.replace(
             start,
             fits=fits,
             history=(FitStep(action="fit", recipe=self.name, mae_in_sample_kwh=errors).to_json(),),
             cars={car: factor for own in learned.values() for car, factor in own.cars.items()},
             correction={key: own.trees for key, own in learned.items() if own.trees is not None} or None,
-            interval=self._interval(groups, sums) if covariance else None,
+            interval=interval,
         )
+        return stamp(fitted)
 
     def adapt(self, model: LinearModel, rides: pd.DataFrame) -> LinearModel:
         """Return a model adapted to some rides, see the function `adapt`."""
@@ -271,25 +267,27 @@ class PooledRecipe:
 
     def _learn(self, prior: Prior, rides: _RideGroup) -> _VehicleModelFit:
         """Return the fit of one vehicle model, from its rides."""
-        own = _own(prior, rides.sums())
-        coefficients, covariance = compute_posterior(own, rides.sums())
+        sums = rides.sums()
+        if sums.rides >= 2 * len(prior.mean):  # enough to estimate the noise of its own rides
+            scale = np.sqrt(np.maximum(np.diag(sums.gram) / sums.weight, 1e-12))
+            prior = prior._replace(noise=estimate_noise(sums, prior.mean, scale))
+        coefficients, covariance = compute_posterior(prior, sums)
         predicted = rides.design @ coefficients
         cars: dict[str, float] = {}
         if self.cars:
-            cars = estimate_car_factors(rides.vehicles, predicted, rides.energy, rides.size, own.noise)
+            cars = estimate_car_factors(rides.vehicles, predicted, rides.energy, rides.size, prior.noise)
         trees = None
         if self.trees and len(rides.energy) >= LEAST_TREE_RIDES:
             left = rides.energy / _factors(cars, rides.vehicles) - predicted
             trees = fit_trees(rides.asked, TREE_FEATURES, left / rides.size, rides.size, SIZE_COLUMN)
-        return _VehicleModelFit(own, coefficients, covariance, cars, trees)
+        return _VehicleModelFit(prior, coefficients, covariance, cars, trees)
 
     def _interval(self, groups: dict[str, _RideGroup], sums: dict[str, NormalEquations]) -> PredictionInterval | None:
         """Return the interval that covers the errors on held-out rides and on held-out vehicle models."""
         seen = self._held_out(groups, {key: deal_folds(len(group.energy), _FOLDS, 0) for key, group in groups.items()})
         unseen = {}
         for key, group in groups.items():
-            others = [other for name, other in sums.items() if name != key]
-            if others:
+            if others := [other for name, other in sums.items() if name != key]:
                 mean = compute_common_mean(others, np.array([s.physics for s in self.shared]))
                 unseen[key] = group.held(group.energy - group.design @ mean)
         interval = calibrate_interval(seen, unseen)
@@ -337,28 +335,23 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
     if not len(good):
         return model
     fits, told = dict(model.fits), {}
-    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
-    for key in sorted(set(kinds) - {""}):
+    for key, rows in group_by_name(get_names(good, VEHICLE_MODEL)).items():
+        if not key:
+            continue
         known = fits.get(key, general)
-        group = _linear_part(model, key, good.iloc[np.flatnonzero(kinds == key)], known.fills)
+        group = _group(model.terms, good.iloc[rows], known.fills)
+        energy = group.energy / _factors(model.cars, group.vehicles)  # what the terms have to explain
+        if trees := model.correction and (model.correction.get(key) or model.correction.get(ANY)):
+            energy -= trees.predict(Columns(good.iloc[rows]))
+        sums = group._replace(energy=energy).sums()
         noise = known.noise_kwh or general.noise_kwh
         prior = Prior(np.array(known.coefficients), np.array(known.covariance or general.covariance), noise)
         rides_before = known.rides if key in model.fits else 0
         with limit_to_one_thread():
-            fits[key] = _fit(
-                known, prior, *compute_early_posterior(prior, group.sums()), rides=rides_before + len(group.energy)
-            )
-        told[key] = len(group.energy)
+            fits[key] = _fit(known, prior, *compute_early_posterior(prior, sums), rides=rides_before + len(rows))
+        told[key] = len(rows)
     history = (*model.history, FitStep(action="adapt", rides=told).to_json())
     return stamp(msgspec.structs.replace(model, fits=fits, history=history))
-
-
-def _linear_part(model: LinearModel, key: str, rides: pd.DataFrame, fills: dict[str, float]) -> _RideGroup:
-    """Return rides with the energy that the terms have to explain: without the trees and the factors of cars."""
-    group = _group(model.terms, rides, fills)
-    energy = group.energy / _factors(model.cars, group.vehicles)
-    trees = model.correction and (model.correction.get(key) or model.correction.get(ANY))
-    return group._replace(energy=energy - trees.predict(Columns(rides)) if trees else energy)
 
 
 def _raw(terms: tuple[Term, ...], asked: tuple[str, ...] = ()) -> list[str]:
@@ -389,13 +382,13 @@ def _check_varies(name: str, groups: dict[str, _RideGroup]) -> None:
         )
 
 
-def _groups(model: LinearModel, rides: pd.DataFrame) -> Iterator[tuple[str, _RideGroup]]:
-    """Yield the trainable rides, by vehicle model."""
+def _group_by_vehicle_model(model: LinearModel, rides: pd.DataFrame) -> dict[str, _RideGroup]:
+    """Return the trainable rides, by vehicle model."""
     good, _ = select_trainable(rides, [*_raw(model.terms, TREE_FEATURES), ENERGY])
-    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
-    for key in sorted(set(kinds)):
-        fills = model.fits[key if key in model.fits else ANY].fills
-        yield (key or ANY, _group(model.terms, good.iloc[np.flatnonzero(kinds == key)], fills, TREE_FEATURES))
+    return {
+        key or ANY: _group(model.terms, good.iloc[rows], model.fits.get(key, model.fits[ANY]).fills, TREE_FEATURES)
+        for key, rows in group_by_name(get_names(good, VEHICLE_MODEL)).items()
+    }
 
 
 def _group(
@@ -417,14 +410,6 @@ def _group(
 def _factors(cars: dict[str, float], vehicles: NDArray[np.object_]) -> Floats:
     """Return the factor of the car of each ride, 1 where the car has none."""
     return np.array([cars.get(vehicle, 1.0) for vehicle in vehicles])
-
-
-def _own(prior: Prior, sums: NormalEquations) -> Prior:
-    """Return the prior with the noise of the vehicle model's own rides, where these are enough to estimate it."""
-    if sums.rides < 2 * len(prior.mean):
-        return prior
-    scale = np.sqrt(np.maximum(np.diag(sums.gram) / sums.weight, 1e-12))
-    return prior._replace(noise=estimate_noise(sums, prior.mean, scale))
 
 
 def _fit(start: Fit, prior: Prior, mean: Floats, covariance: Floats, **changes: Any) -> Fit:

@@ -16,25 +16,19 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.effects.road_load import accessories
-from socast.core.fit.accessory_curve import compute_slopes
+from socast.core.fit.accessory_curve import CHOKE_POINTS, LEAST_GAP, LEVELS, flatten_curve
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.nested_effects import Gaussian
 from socast.core.models import Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns, is_scope
 from socast.core.models.plausibility import compute_plausible_range
-from socast.core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.vehicles import ACCESSORIES
 from socast.core.vehicles.fleet import CarParameters
 
 BOUNDS_OVER_SD: Final = 4.0
 """Width of the bounds of a number of the accessory curve over its standard deviation. [1]"""
 UNKNOWN_ENERGY: Final = 1.0
 """Standard deviation of the energy of a row by a term of which physics tells nothing. [kWh]"""
-LEVELS: Final = ("standby", "heating", "cooling")
-"""Levels of the accessory curve, in the order of `socast.core.fit.accessory_curve.compute_slopes`."""
-CHOKE_POINTS: Final = ("heating_full", "heating_off", "cooling_on", "cooling_full")
-"""Choke points of the accessory curve, ascending."""
-LEAST_GAP: Final = 1.0
-"""Smallest distance between two choke points. [K]"""
 
 
 def build_prior(terms: Sequence[Term], columns: Columns, rows: int) -> Gaussian:
@@ -78,26 +72,6 @@ def find_limits(terms: Sequence[Term], columns: Columns) -> tuple[Floats, Floats
     ranges = [compute_plausible_range(term, figures) or (-inf, inf) for term in terms]
     low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
     return low, high
-
-
-def flatten_curve(curve: AccessoryCurve) -> Floats:
-    """Return the seven numbers of a curve."""
-    return np.array([getattr(curve, name) for name in (*LEVELS, *CHOKE_POINTS)])
-
-
-def build_curve(numbers: Floats) -> AccessoryCurve:
-    """Return the curve of seven numbers, see `flatten_curve`."""
-    return AccessoryCurve(**dict(zip((*LEVELS, *CHOKE_POINTS), numbers.tolist(), strict=True)))
-
-
-def compute_curve_columns(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
-    """Return the derivatives of the accessory power by the seven numbers of its curve.
-
-    Units: returns [W/K].
-    """
-    slopes = compute_slopes(curve, ambient_c)
-    slopes[:, 0] -= slopes[:, 1] + slopes[:, 2]  # there, heating and cooling count from standby
-    return slopes
 
 
 def build_curve_prior() -> Gaussian:

@@ -20,10 +20,10 @@ from socast.core.errors import ModelError
 from socast.core.fit.block_sums import PassRunner
 from socast.core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from socast.core.fit.calibration import add_interval
-from socast.core.fit.distortions import DISTORTIONS_BESIDE_LOSSES
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.pooled import POOLED_RECIPES
 from socast.core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
+from socast.core.fit.row_noise import DISTORTIONS_BESIDE_LOSSES
 from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import BASIC_TERMS, HILLS_OF_BUILT_IN, LinearModel, Term, make_physical_term
 from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
@@ -76,18 +76,12 @@ class LinearRecipe:
         model = fit_terms(self, RideFrame(rides), covariance=covariance)
         return add_interval(model, rides, fitted=self.free) if covariance else model
 
-    def fit_parquet(self, *paths: str | Path, covariance: bool = True, run: PassRunner | None = None) -> LinearModel:
+    def fit_parquet(self, *paths: str | Path, run: PassRunner | None = None) -> LinearModel:
         """Return a model fitted to Parquet files of rides, in memory that does not grow with the number of rides.
 
-        Parameters
-        ----------
-        covariance : bool
-            Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
+        Its interval is calibrated on at most `INTERVAL_RIDES` rides.
         """
-        rides = RideParquet(tuple(Path(path) for path in paths))
-        if not covariance:
-            return fit_terms(self, rides, covariance=False, run=run)
-        some = ThinnedRides(rides, INTERVAL_RIDES, INTERVAL_NEEDS)
+        some = ThinnedRides(RideParquet(tuple(Path(path) for path in paths)), INTERVAL_RIDES, INTERVAL_NEEDS)
         model = fit_terms(self, some, run=run)
         return add_interval(model, some.table(), fitted=self.free)
 
@@ -322,9 +316,18 @@ def get_recipe(name: str) -> Recipe:
     return found
 
 
+def fit_recipe(
+    name: str, rides: pd.DataFrame, windows: pd.DataFrame | None = None, *, covariance: bool = True
+) -> LinearModel:
+    """Return the model of a recipe, fitted to rides, or to windows where it can be and they are given."""
+    recipe = get_recipe(name)
+    if windows is not None and isinstance(recipe, WindowRecipe):
+        recipe = recipe.bind(windows)
+    return recipe.fit(rides, covariance=covariance)
+
+
 def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
     """Return a recipe of physical terms fitted to windows."""
-    recipe = get_recipe(name)
-    if not isinstance(recipe, WindowRecipe):
+    if not isinstance(get_recipe(name), WindowRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose {', '.join(WINDOW_RECIPES)}")
-    return recipe.fit(rides, windows, covariance=covariance)
+    return fit_recipe(name, rides, windows, covariance=covariance)

@@ -65,10 +65,6 @@ class Moments:
             moments.scatter = centred.T @ centred
         return moments
 
-    def add(self, block: Floats) -> None:
-        """Add rows."""
-        self.merge(Moments.of(block))
-
     def merge(self, other: "Moments") -> None:
         """Add the rows of other moments."""
         rows = self.rows + other.rows

@@ -270,6 +270,12 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     return (block.loc[~left] if left.any() else block), left_out
 
 
+def find_measured(rides: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return which rides are fit for training and have a measured energy."""
+    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
+    return np.asarray(fit & np.isfinite(get_numbers(rides, ENERGY)))
+
+
 def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str, int]) -> str:
     """Return that a recipe has too few rides, with the reasons why others are left out, and the remedy.
 
@@ -316,6 +322,11 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
         raise ModelError(f"column {name!r} of the ride table is no number: {error}: make the tables again") from error
 
 
+def get_numbers_if_present(block: pd.DataFrame, name: str, absent: float = np.nan) -> Floats:
+    """Return a column as float, filled with `absent` where the table does not have it."""
+    return get_numbers(block, name) if name in block else np.full(len(block), absent)
+
+
 def get_names(block: pd.DataFrame, column: str) -> list[str]:
     """Return a column of text."""
     return _read_names(block, column).tolist() if column in block else [""] * len(block)
@@ -325,6 +336,12 @@ def _read_names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
     """Return a column of text, empty where it is unknown; few names occur many times."""
     place, names = pd.factorize(block[column])  # place -1 where unknown
     return np.array([*map(str, names), ""], dtype=object)[place]
+
+
+def group_by_name(names: Sequence[str] | NDArray[Any]) -> dict[str, Ints]:
+    """Return the rows of each name, such as a vehicle model, with the names in their order."""
+    code, known = pd.factorize(np.asarray(names, dtype=object), sort=True)
+    return {name: np.flatnonzero(code == i) for i, name in enumerate(known)}
 
 
 def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, NDArray[Any]]:

@@ -261,8 +261,7 @@ def share_out_energy(features: Floats, duration: Floats, ride: Ordinals, energy:
     count = np.bincount(ride, minlength=len(energy))
     columns = np.column_stack([features, np.ones(len(ride))])
     sums = np.column_stack([np.bincount(ride, weights=column, minlength=len(energy)) for column in columns.T])
-    moments = Moments(sums.shape[1] + 1)
-    moments.add(np.column_stack([sums, energy])[count > 0])
+    moments = Moments.of(np.column_stack([sums, energy])[count > 0])
     expected = columns @ solve(moments, constant=False).coefficients
     beyond = energy - np.bincount(ride, weights=expected, minlength=len(energy))
     time = np.bincount(ride, weights=duration, minlength=len(energy))

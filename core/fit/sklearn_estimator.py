@@ -10,10 +10,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
-from socast.core.fit.recipes import FIRST_RECIPE
-from socast.core.fit.recipes import get_recipe as named
+from socast.core.fit.recipes import FIRST_RECIPE, fit_recipe
 from socast.core.fit.ride_blocks import ENERGY
-from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import LinearModel
 
 
@@ -76,11 +74,8 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         ModelError
             If the recipe is unknown, if X is no DataFrame, or if the recipe cannot be fitted to the rides.
         """
-        recipe, table = named(self.recipe), _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)})
-        if isinstance(recipe, WindowRecipe):
-            self.model_ = recipe.fit(table, self.windows, covariance=self.covariance)
-        else:
-            self.model_ = recipe.fit(table, covariance=self.covariance)
+        table = _table(X).assign(**{ENERGY: np.asarray(y, dtype=np.float64)})
+        self.model_ = fit_recipe(self.recipe, table, self.windows, covariance=self.covariance)
         self.n_features_in_ = X.shape[1]
         self.feature_names_in_ = np.array(X.columns, dtype=object)
         return self

@@ -11,50 +11,50 @@ factor is estimated and is part of their uncertainty. The model does not hold th
 effect.
 
 The accessory curve has a prior too, see `socast.core.fit.window_solver`.
+
+The prediction interval is calibrated on rides that each fit did not see. The sums of products of single vehicle-days
+and cars give the coefficients of every fit without a vehicle-day or without a vehicle model, at the cost of one small
+system of equations each. The errors of a ride under the fit without its vehicle-day calibrate the interval; those under
+the fit without its vehicle model that of unseen vehicle models. Weights, spreads and the linearised curve stay those of
+all rides, so these errors are slightly too small.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from typing import Final
 
 import numpy as np
 import pandas as pd
 from msgspec import UNSET
+from msgspec.structs import replace
+from scipy.linalg import block_diag
 
-from socast.core.batch import Ints
+from socast.core.batch import Floats
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import ModelError
+from socast.core.fit.accessory_curve import CHOKE_POINTS, LEVELS, compute_curve_columns, flatten_curve
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
-from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
+from socast.core.fit.calibration import NEEDS, calibrate_interval, expect_interval, group_errors
 from socast.core.fit.measured_rows import ENERGY_SD
-from socast.core.fit.nested_effects import Gaussian
-from socast.core.fit.priors import (
-    CHOKE_POINTS,
-    LEVELS,
-    build_curve_prior,
-    build_prior,
-    compute_curve_columns,
-    find_curve_limits,
-    find_limits,
-    flatten_curve,
-    is_curved,
-)
+from socast.core.fit.nested_effects import Gaussian, compute_coefficients, integrate_car_factor
+from socast.core.fit.priors import build_curve_prior, build_prior, find_curve_limits, find_limits, is_curved
+from socast.core.fit.records import FitStep
 from socast.core.fit.ride_blocks import (
     ENERGY,
     assign_vehicle_days,
     get_names,
     get_numbers,
+    group_by_name,
     select_trainable,
     word_too_few_rides,
 )
-from socast.core.fit.row_noise import build_variance_parts
-from socast.core.fit.window_problem import GroupRows
-from socast.core.fit.window_solver import GroupFit, solve_group
+from socast.core.fit.row_noise import DISTORTED_COLUMNS, DISTORTIONS, build_variance_parts, gather_distortions
+from socast.core.fit.window_solver import GroupFit, GroupRows, solve_group
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from socast.core.models.derived_features import DERIVED_COLUMNS
-from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
+from socast.core.models.features import ACCESSORIES_COLUMN, DERIVED_COLUMNS, FEATURES, Columns, list_raw_columns
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
+from socast.core.vehicles import AccessoryCurve
 from socast.core.vehicles.fleet import CarParameters
 
 LEAST_RIDES: Final = 1
@@ -105,35 +105,31 @@ def fit_rows(
     good, _ = select_trainable(rows, read)
     good = good.assign(**{VEHICLE: get_names(good, VEHICLE), "date": get_names(good, "date")})
     good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
-    kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     keys = good["ride_key"].to_numpy(dtype=object)
-    if (count := len(set(keys.tolist()))) < LEAST_RIDES:
+    if (count := len(set(keys))) < LEAST_RIDES:
         every = rows.drop_duplicates("ride_key") if ride_table is None else ride_table
         reasons = select_trainable(every, [column for column in read if column in every])[1]
         raise ModelError(word_too_few_rides(name, count, LEAST_RIDES, reasons))
-    fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
-    rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
-    alone = len(rides) == 2 and rides[ANY] == min(rides.values())
-    groups: dict[str, GroupFit] = {}
-    fits = {}
+    kinds = group_by_name(get_names(good, VEHICLE_MODEL))
+    parts = {key: at for key, at in kinds.items() if key not in {"", ANY}}
+    alone = next((key for key, at in parts.items() if len(at) == len(good)), None)
+    if alone is None:
+        parts = {key: at for key, at in parts.items() if len(set(keys[at])) >= LEAST_OWN_RIDES}
+        parts[ANY] = np.arange(len(good))
+    groups, fits = {}, {}
     with limit_to_one_thread():
-        for key, at in _split_groups(kinds):
-            if key == ANY if alone else (key != ANY and rides[key] < LEAST_OWN_RIDES):
-                continue
-            group = gather_rows(terms, good.iloc[at], fills[key], distortions)
+        for key, at in parts.items():
+            rows, fills = good.iloc[at], _find_fills(terms, good.iloc[at])
+            group = gather_rows(terms, rows, fills, distortions)
             groups[key] = solve_group(group)
-            fits[key] = _convert(terms, group, groups[key], fills[key], _find_limit(group, good.iloc[at]))
-    if alone:
-        only = next(iter(groups))
-        groups, fits = groups | {ANY: groups[only]}, fits | {ANY: fits[only]}
+            # windows take and return more than their ride, so the limit follows from whole rides
+            columns = [get_numbers(rows, name) for name in (ENERGY, *LIMIT_NEEDS)]
+            rides = [np.bincount(group.ride, column).astype(np.float64) for column in columns]
+            limit = EnergyLimit.of_training(*sum_training(*rides).tolist())
+            fits[key] = _convert(terms, group, groups[key], fills, limit)
+    if alone is not None:  # the fit of the only vehicle model is that of all rides
+        groups[ANY], fits[ANY] = groups[alone], fits[alone]
     return _assemble(name, terms, good, read, fits), groups
-
-
-def _split_groups(kinds: np.ndarray[tuple[int], np.dtype[np.object_]]) -> Iterator[tuple[str, Ints]]:
-    """Yield each vehicle model with its rows, then all rows together."""
-    for kind in sorted(set(kinds.tolist()) - {"", ANY}):
-        yield kind, np.flatnonzero(kinds == kind)
-    yield ANY, np.arange(len(kinds))
 
 
 def _list_columns(terms: Sequence[Term]) -> list[str]:
@@ -179,13 +175,15 @@ def gather_rows(
     energy, hours = get_numbers(rows, ENERGY), columns["duration_s"] / 3600.0
     time = [hours * columns["accessory_scale"] / 1e3] if curved else []
     rolling = columns["effect_rolling"] * columns["rolling_resistance"]
-    prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
     spread = np.array(list(distortions.values()))
-    prior = _join(prior, Gaussian(np.zeros(len(spread)), np.diag(spread**2)))
-    limits = np.column_stack([limits, np.tile([[-np.inf], [np.inf]], len(spread))])
+    unlimited = np.full(len(spread), np.inf)
+    priors = [build_prior(plain, columns, n), Gaussian(np.zeros(len(spread)), np.diag(spread**2))]
+    limits = [find_limits(plain, columns), (-unlimited, unlimited)]
     if curved:
-        prior = _join(prior, build_curve_prior())
-        limits = np.column_stack([limits, np.array(find_curve_limits())])
+        priors.append(build_curve_prior())
+        limits.append(find_curve_limits())
+    low, high = (np.concatenate(ends) for ends in zip(*limits, strict=True))
+    means, covariances = zip(*priors, strict=True)
     ride, keys = pd.factorize(rows["ride_key"])
     first = np.unique(ride, return_index=True)[1]
     names = rows[VEHICLE].to_numpy(dtype=object)[first]
@@ -202,25 +200,11 @@ def gather_rows(
         rides=tuple(keys),
         cars=tuple(cars),
         parts=build_variance_parts(rows),
-        prior=prior,
-        low=limits[0],
-        high=limits[1],
+        prior=Gaussian(np.concatenate(means), block_diag(*covariances)),
+        low=low,
+        high=high,
         curved=curved,
     )
-
-
-def _join(one: Gaussian, other: Gaussian) -> Gaussian:
-    """Return the distribution of two independent sets of coefficients."""
-    size = len(one.mean)
-    covariance = np.zeros((size + len(other.mean),) * 2)
-    covariance[:size, :size], covariance[size:, size:] = one.covariance, other.covariance
-    return Gaussian(np.concatenate([one.mean, other.mean]), covariance)
-
-
-def _find_limit(group: GroupRows, rows: pd.DataFrame) -> EnergyLimit | None:
-    """Return the limit that follows from the whole rides, as windows take and return more than a ride."""
-    rides = [np.bincount(group.ride, get_numbers(rows, name)).astype(np.float64) for name in (ENERGY, *LIMIT_NEEDS)]
-    return EnergyLimit.of_training(*sum_training(*rides).tolist())
 
 
 def _convert(
@@ -295,3 +279,90 @@ def _assemble(
             training=training,
         )
     )  # fmt: skip
+
+
+def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: pd.DataFrame) -> LinearModel:
+    """Return a model with an interval and with the in-sample errors of its rides.
+
+    Returns
+    -------
+    LinearModel
+        Without an interval where the rides lack a column that the scale of errors needs. Where they are too few to
+        calibrate one, it has that of `expect_interval`.
+    """
+    good, left_out = select_trainable(rides, [*model.needs, ENERGY])
+    model = _describe(model, good, dict(left_out))
+    if any(column not in rides for column in NEEDS):
+        return stamp(model)
+    own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
+    for kind, rows in group_by_name(get_names(good, VEHICLE_MODEL)).items():
+        own[rows] = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows]).without_day()
+        if len(rows) < len(good):
+            every[rows] = _HeldOut(model, groups, ANY, good.iloc[rows]).without_cars()
+    seen, unseen = (
+        {key: errors for key, errors in group_errors(good, error).items() if len(errors.error)}
+        for error in (own, every)
+    )
+    interval = (calibrate_interval(seen, unseen) or expect_interval(seen)) if seen else None
+    return stamp(replace(model, interval=interval))
+
+
+class _HeldOut:
+    """Compute the errors of rides of one vehicle model under a fit without parts of its rides. [kWh]"""
+
+    def __init__(self, model: LinearModel, groups: dict[str, GroupFit], key: str, rides: pd.DataFrame) -> None:
+        self.fitted = groups[key]
+        columns = Columns(rides, model.fits[key].fills, self.fitted.curve)
+        self.columns, self.offset = build_prediction_columns(model.terms, columns, len(rides), self.fitted.curve)
+        self.energy = get_numbers(rides, ENERGY)
+        place = pd.Index(self.fitted.rides).get_indexer(pd.Index(rides["ride_key"]))
+        self.day = np.where(place >= 0, self.fitted.products.day[place], -1)  # -1 where the fit has no row of a ride
+        self.cars = integrate_car_factor(self.fitted.elimination.cars, self.fitted.spreads.car).sums
+
+    def without_day(self) -> Floats:
+        """Return the error of each ride under the fit without its vehicle-day; NaN for a ride outside of the fit."""
+        fitted, car = self.fitted, self.fitted.products.car
+        rest = fitted.elimination.cars[car] - fitted.elimination.days
+        changed = integrate_car_factor(rest, fitted.spreads.car).sums
+        mean = compute_coefficients(fitted.prior, self.cars.sum(axis=0) - self.cars[car] + changed).mean
+        predicted = np.einsum("ij,ij->i", self.columns, mean[self.day]) + self.offset
+        return np.where(self.day >= 0, self.energy - predicted, np.nan)
+
+    def without_cars(self) -> Floats:
+        """Return the error of each ride under the fit without the cars of all of these rides."""
+        kept = np.ones(len(self.cars), np.bool_)
+        kept[self.fitted.products.car[self.day[self.day >= 0]]] = False
+        mean = compute_coefficients(self.fitted.prior, self.cars[kept].sum(axis=0)).mean
+        return self.energy - self.columns @ mean - self.offset
+
+
+def build_prediction_columns(
+    terms: Sequence[Term], columns: Columns, rows: int, curve: AccessoryCurve | None
+) -> tuple[Floats, Floats]:
+    """Return the columns of the coefficients of a fit and of the numbers of its curve, and the energy by the curve.
+
+    Predictions contain no distortions of the measurement, so that their columns are zero.
+    """
+    plain = tuple(term for term in terms if not is_curved(term))
+    table = np.column_stack([build_design(plain, columns, rows), np.zeros((rows, len(DISTORTIONS)))])
+    if curve is None:
+        return table, np.zeros(rows)
+    time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+    slopes = compute_curve_columns(curve, columns["ambient_c"]) * time[:, np.newaxis]
+    return np.column_stack([table, slopes]), time * curve.power(columns["ambient_c"] + ZERO_CELSIUS)
+
+
+def _describe(model: LinearModel, rides: pd.DataFrame, left_out: dict[str, int]) -> LinearModel:
+    """Return a model with the residuals of its rides and the number of rides that are left out."""
+    kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
+    left = get_numbers(rides, ENERGY) - model.predict_energy(rides)
+    fits, errors = {}, {}
+    for key, fit in model.fits.items():
+        own = left[((kinds == key) | (key == ANY)) & np.isfinite(left)]
+        if len(own):
+            errors[key] = float(np.abs(own).mean())
+        sd = float(np.sqrt(np.mean(own**2))) if len(own) else None
+        fits[key] = replace(fit, residual_sd_kwh=sd)
+    training = model.training and replace(model.training, left_out=dict(sorted(left_out.items())))
+    step = FitStep(action="fit", recipe=model.recipe, mae_in_sample_kwh=errors)
+    return replace(model, fits=fits, training=training, history=(step.to_json(),))

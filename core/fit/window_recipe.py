@@ -1,19 +1,17 @@
 """Recipes of physical terms that are fitted to windows, with physics as the prior."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-import numpy as np
 import pandas as pd
-from msgspec.structs import replace
+from msgspec import structs
 
 from socast.core.fit.determination import determine_terms
-from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.records import Determination, find_fit_step
-from socast.core.fit.ride_blocks import ENERGY, get_numbers, select_trainable
-from socast.core.fit.window_fit import READ, fit_rows, gather_rows
-from socast.core.fit.window_interval import add_window_interval
+from socast.core.fit.ride_blocks import ENERGY, find_measured, select_trainable
+from socast.core.fit.row_noise import DISTORTED_COLUMNS, DISTORTIONS
+from socast.core.fit.window_fit import READ, add_window_interval, fit_rows, gather_rows
 from socast.core.fit.window_solver import GroupFit
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
 from socast.core.models.features import list_raw_columns
@@ -34,7 +32,9 @@ class WindowRecipe:
     terms : tuple of Term
         Terms of the model; each adds up over the windows of a ride.
     distortions : mapping of str to float
-        Standard deviations of the distortions of sampling, see `socast.core.fit.distortions`.
+        Standard deviations of the distortions of sampling, see `socast.core.fit.row_noise`.
+    windows : DataFrame, optional
+        Window table that `fit` reads where it is given none, see `bind`.
     """
 
     name: str
@@ -42,12 +42,21 @@ class WindowRecipe:
     terms: tuple[Term, ...]
     note: str = ""
     distortions: Mapping[str, float] = field(default_factory=lambda: DISTORTIONS, hash=False)
+    windows: pd.DataFrame | None = field(default=None, compare=False, repr=False)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Return the columns of the window table that the fit reads."""
         raw = [name for term in self.terms for column in term.columns for name in list_raw_columns(column)]
         return tuple(dict.fromkeys((*IDENTITY, *READ, *DISTORTED_COLUMNS, *raw)))
+
+    def bind(self, windows: pd.DataFrame) -> "WindowRecipe":
+        """Return the recipe with windows, of which each fit uses those of its rides.
+
+        Cross-validation passes training rides alone; the key of each ride selects its windows, so no window of another
+        ride takes part. Only the columns that the fit reads are kept, because each process gets a copy.
+        """
+        return replace(self, windows=windows[[name for name in self.columns if name in windows]])
 
     def fit(self, rides: pd.DataFrame, windows: pd.DataFrame | None = None, *, covariance: bool = True) -> LinearModel:
         """Return a model fitted to the windows of the rides of a table that are fit for training.
@@ -60,7 +69,7 @@ class WindowRecipe:
         covariance : bool
             Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
         """
-        return self._fit(rides, windows, covariance=covariance)[0]
+        return self._fit(rides, self.windows if windows is None else windows, covariance=covariance)[0]
 
     def determine(
         self, rides: pd.DataFrame, windows: pd.DataFrame | None = None
@@ -80,52 +89,11 @@ class WindowRecipe:
         self, rides: pd.DataFrame, windows: pd.DataFrame | None, *, covariance: bool
     ) -> tuple[LinearModel, dict[str, GroupFit], pd.DataFrame]:
         """Return the model, the fit of each vehicle model, and the rows of rides fit for training."""
-        rows = _select(rides) if windows is None else join_tables(rides, windows)
+        rows = rides.loc[find_measured(rides)] if windows is None else join_tables(rides, windows)
         model, groups = fit_rows(self.name, self.terms, rows, rides, self.distortions)
         if covariance:
             model = add_window_interval(model, groups, rides)
-        step = replace(
+        step = structs.replace(
             find_fit_step(model), action="fit", recipe=self.name, rows="rides" if windows is None else "windows"
         )
-        return stamp(replace(model, history=(step.to_json(),))), groups, rows
-
-
-def _select(rides: pd.DataFrame) -> pd.DataFrame:
-    """Return the rides that are fit for training and measured."""
-    fit = rides["fit_for_training"].to_numpy(dtype=bool, na_value=False) if "fit_for_training" in rides else True
-    return rides.loc[fit & np.isfinite(get_numbers(rides, ENERGY))]
-
-
-@dataclass(frozen=True, eq=False)
-class RecipeWithWindows:
-    """Fit a recipe to rides and to those windows of a table that belong to them.
-
-    Cross-validation passes training rides alone; the key of each ride selects its windows, so no window of another
-    ride takes part.
-    """
-
-    recipe: WindowRecipe
-    windows: pd.DataFrame
-
-    def __post_init__(self) -> None:
-        """Keep only the columns that the fit reads, because each process gets a copy."""
-        object.__setattr__(self, "windows", self.windows[[n for n in self.recipe.columns if n in self.windows]])
-
-    @property
-    def name(self) -> str:
-        """Return the name in code and files."""
-        return self.recipe.name
-
-    @property
-    def title(self) -> str:
-        """Return the title for people."""
-        return self.recipe.title
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Return the terms of the model."""
-        return self.recipe.terms
-
-    def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the windows of rides, see `WindowRecipe.fit`."""
-        return self.recipe.fit(rides, self.windows, covariance=covariance)
+        return stamp(structs.replace(model, history=(step.to_json(),))), groups, rows

@@ -4,15 +4,19 @@ A model is a sum of terms over columns of the ride table; see `socast.core.model
 names of this package.
 """
 
-from socast.core.models.built_in import (
+from socast.core.models.file import (
     BASIC_PHYSICAL,
     BASIC_TERMS,
     BUILT_IN_MODELS,
     EXTENDED_PHYSICAL,
     HILLS_OF_BUILT_IN,
+    decode_model,
+    encode_model,
+    load,
     make_physical_term,
+    save,
+    stamp,
 )
-from socast.core.models.file import decode_model, encode_model, load, save, stamp
 from socast.core.models.interval import ANY
 from socast.core.models.linear import (
     CORRECTION,

@@ -1,51 +1,75 @@
-"""Model files: reading, writing, versions, and checks beyond the types of the fields."""
+"""Built-in models, and model files: reading, writing, versions, and checks beyond the types of the fields.
+
+The built-in models are the physical models of the paper that need no fitting.
+"""
 
 import re
+from collections.abc import Mapping
 from hashlib import sha256
 from itertools import chain, pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Final
 
 import msgspec
 
 from socast.core.errors import EffectError, ModelError, read_input
 from socast.core.files import write_whole
-from socast.core.models.built_in import BUILT_IN_MODELS
 from socast.core.models.features import ACCESSORIES_COLUMN, get_unit
-from socast.core.models.linear import FORMAT, Fit, LinearModel
+from socast.core.models.interval import ANY
+from socast.core.models.linear import FORMAT, Fit, LinearModel, Term
 from socast.core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 """Array of numbers, one per line. It matches no string, because JSON strings have no line breaks."""
 
 
+def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
+    """Return a term whose coefficient is 1 where physics holds."""
+    return Term(name=name, columns=columns, unit="1")
+
+
+BASIC_TERMS: Final = (
+    make_physical_term("rolling", ("effect_rolling", "rolling_resistance")),
+    make_physical_term("climbing", ("effect_climbing",)),
+    make_physical_term("aero_drag", ("effect_aero_drag", "drag_area_m2")),
+    make_physical_term("inertia", ("effect_inertia",)),
+)
+_EXTENDED_TERMS: Final = (*BASIC_TERMS, make_physical_term("accessories", ("effect_accessories",)))
+
+BASIC_PHYSICAL: Final = LinearModel(
+    name="basic_physical",
+    version="1",
+    recipe="basic_physical",
+    terms=BASIC_TERMS,
+    fits={ANY: Fit(coefficients=(1.0,) * len(BASIC_TERMS))},
+)
+"""Basic physical model, eq. (1) and section 4.1 of the paper: energy at the wheels with the catalogue's parameters."""
+
+EXTENDED_PHYSICAL: Final = LinearModel(
+    name="extended_physical",
+    version="1",
+    recipe="extended_physical",
+    terms=_EXTENDED_TERMS,
+    fits={ANY: Fit(coefficients=(1.0,) * len(_EXTENDED_TERMS))},
+)
+"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `socast.core.fit` fits one."""
+
+BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
+    {model.name: model for model in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}
+)
+"""Models that come with the product and need no fitting, by name."""
+HILLS_OF_BUILT_IN: Final = (
+    "as in the paper, a descent returns all that the climb took, so a hill up and down costs nothing"
+)
+"""What readers of the predictions of `BUILT_IN_MODELS` need to know."""
+
+
 def _format_json(content: bytes) -> bytes:
     """Return indented JSON for people, with each array of numbers on one line."""
     lines = msgspec.json.format(content, indent=2)
     return _NUMBERS.sub(lambda match: b"[" + b" ".join(match[1].split()) + b"]", lines) + b"\n"
-
-
-def _parse(content: bytes) -> Any:
-    """Return the JSON of a model file, after a check of its format.
-
-    Raises
-    ------
-    ModelError
-        Where the content is not JSON, is not a model, or has another format.
-    """
-    try:
-        raw = msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
-    format_ = raw.get("format") if isinstance(raw, dict) else None
-    if format_ is None or "terms" not in raw:
-        raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
-    if format_ != FORMAT:
-        raise ModelError(
-            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model again"
-        )
-    return raw
 
 
 def load(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
@@ -163,7 +187,17 @@ def decode_model(content: bytes) -> LinearModel:
     ModelError
         Where the content is not JSON, is not a model, has another format, or names an unknown column or effect.
     """
-    raw = _parse(content)
+    try:
+        raw = msgspec.json.decode(content)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
+    format_ = raw.get("format") if isinstance(raw, dict) else None
+    if format_ is None or "terms" not in raw:
+        raise ModelError("no model file: it has no 'format' and 'terms': `socast fit` writes model files")
+    if format_ != FORMAT:
+        raise ModelError(
+            f"model file of format {format_!r}, and this version reads format {FORMAT}: fit the model again"
+        )
     try:
         model = msgspec.convert(raw, LinearModel)
     except msgspec.ValidationError as error:

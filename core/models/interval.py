@@ -134,20 +134,16 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         """Return the scale of the error of each ride, (n,). [kWh]"""
         terms = compute_scale_terms(columns)
         general = np.array(self.scales[ANY])
-        stretch = self._stretch(columns)
+        stretch: Floats | float = 1.0
+        if self.cars and self.unseen_car != 1.0:
+            known = set(self.cars)
+            stretch = np.array([1.0 if car in known else self.unseen_car for car in _names(columns, "vehicle_id")])
         if set(self.scales) == {ANY}:
             return np.asarray(stretch * (terms @ general))
         models = _names(columns, "vehicle_model")
         factors = {model: np.array(self.scales.get(model, general)) for model in set(models.tolist())}
         rows = np.array([factors[model] for model in models]).reshape(-1, len(general))
         return np.asarray(stretch * np.einsum("ij,ij->i", terms, rows))
-
-    def _stretch(self, columns: Columns) -> Floats | float:
-        """Return the factor on the scale of each ride: that of unseen cars, or 1. [1]"""
-        if not self.cars or self.unseen_car == 1.0:
-            return 1.0
-        known = set(self.cars)
-        return np.array([1.0 if car in known else self.unseen_car for car in _names(columns, "vehicle_id").tolist()])
 
 
 def _names(columns: Columns, name: str) -> NDArray[np.object_]:

@@ -79,7 +79,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     limit : EnergyLimit, optional
         Largest energy that the fit predicts. Absent where there is none, as in models of earlier releases.
     noise_kwh : float, optional
-        Variance of a ride's error divided by its size (`socast.core.models.derived_features.compute_size`), where rides
+        Variance of a ride's error divided by its size (`socast.core.models.features.compute_size`), where rides
         were weighted by their size. [kWh]
     limited : tuple of str
         Terms, and numbers of the accessory curve, that stopped at an end of their plausible ranges. The data alone
@@ -241,7 +241,18 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         ModelError
             Where a needed column is absent.
         """
-        energy = self._predict_unlimited(columns)
+        if missing := [name for name in self.needs if name not in columns]:
+            raise ModelError(
+                f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
+                "effects"
+            )
+        if self._groups:
+            total = np.full(_length(columns, self.needs), np.nan)
+            for key, rows, count in self._rows(columns):
+                total[rows] = self._predict(key, Columns(columns, rows=rows), count)
+        else:  # in one step, which takes less time for each call of the live path
+            total = self._predict(ANY, Columns(columns), _length(columns, self.needs))
+        energy = self._scale_by_car(total, columns)
         if not self.is_limited:
             return energy
         most = self.compute_limits(columns)
@@ -261,32 +272,16 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             Infinite where there is no limit; a prediction that equals it was outside. [kWh]
         """
         most = np.full(_length(columns, self.needs), np.inf)
-        for key, rows in self._rows(columns) if self._groups else ((ANY, None),):
+        for key, rows, _ in self._rows(columns):
             fit = self._fit(key)
             if fit is not None and fit.limit:
                 seen = Columns(columns, rows=rows)
-                most[slice(None) if rows is None else rows] = fit.limit.compute_energy(
-                    *(seen[name] for name in LIMIT_NEEDS)
-                )
+                most[rows] = fit.limit.compute_energy(*(seen[name] for name in LIMIT_NEEDS))
         return most
 
     def count_limited(self, columns: Table, energy: Floats) -> int:
         """Return the number of predicted energies that stopped at their limit."""
         return int(np.sum(np.abs(energy) >= self.compute_limits(columns))) if self.is_limited else 0
-
-    def _predict_unlimited(self, columns: Table) -> Floats:
-        """Return the energy of rides by the terms, the trees and the factors of cars. [kWh]"""
-        if missing := [name for name in self.needs if name not in columns]:
-            raise ModelError(
-                f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
-                "effects"
-            )
-        if not self._groups:
-            return self._scale_by_car(self._predict(ANY, Columns(columns), _length(columns, self.needs)), columns)
-        total = np.full(_length(columns, self.needs), np.nan)
-        for key, rows in self._rows(columns):
-            total[rows] = self._predict(key, Columns(columns, rows=rows), len(rows))
-        return self._scale_by_car(total, columns)
 
     def predict_parts(self, columns: Table) -> dict[str, Floats]:
         """Return the energy of each term, and of the correction by trees where the model has one.
@@ -294,7 +289,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Parameters
         ----------
         columns : mapping of str to (n,) array
-            As for `predict`, and the column of vehicle models.
+            As for `predict`.
 
         Returns
         -------
@@ -302,15 +297,14 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             Energy by name of the term; the parts sum to the prediction, also where this stopped at its limit. NaN for
             a car without a fit. [kWh]
         """
-        vehicle_models = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         names = [term.name for term in self.terms] + ([CORRECTION] if self.correction else [])
-        parts = {name: np.full(len(vehicle_models), np.nan) for name in names}
-        for key, rows in self._rows(columns):
+        parts = {name: np.full(_length(columns, self.needs), np.nan) for name in names}
+        for key, rows, count in self._rows(columns):
             fit = self._fit(key)
             if fit is None:
                 continue
             seen = Columns(columns, fit.fills, fit.curve, rows)
-            for term, energy in self._term_energies(fit, seen, len(rows)):
+            for term, energy in self._term_energies(fit, seen, count):
                 parts[term.name][rows] = energy
             if self.correction:
                 trees = self._trees(key)
@@ -346,17 +340,20 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             raise ModelError(f"model {self.name}: its interval needs column {missing[0]!r}: make the tables again")
         return self.interval.bounds(self.predict_energy(columns), cast("Mapping[str, Any]", columns), level)
 
-    def _rows(self, columns: Table) -> Iterator[tuple[str, Any]]:
-        """Yield each vehicle model with something of its own and its rows, then `*` and the other rows."""
+    def _rows(self, columns: Table) -> Iterator[tuple[str, Any, int]]:
+        """Yield each vehicle model with something of its own, its rows and their number, then `*` and the others."""
+        if not self._groups:
+            yield ANY, slice(None), _length(columns, self.needs)
+            return
         name = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         left = np.ones(len(name), np.bool_)
         for key in self._groups:
             here = name == key
             left &= ~here
             if here.any():
-                yield key, np.flatnonzero(here)
+                yield key, np.flatnonzero(here), int(here.sum())
         if left.any():
-            yield ANY, np.flatnonzero(left)
+            yield ANY, np.flatnonzero(left), int(left.sum())
 
     def _fit(self, key: str) -> Fit | None:
         """Return the fit that applies to a vehicle model."""

@@ -1,4 +1,4 @@
-"""Test whether candidate effects are present in the residual of a model.
+"""Test whether candidate effects are present in the residual of a model, and measure what they gain.
 
 All quantities are weighted and projected (`socast.core.diagnose.projection`): a residual r and one column c per
 candidate, of which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
@@ -16,6 +16,8 @@ References
 Bell and McCaffrey, Survey Methodology 28 (2002) 169, bias reduction in standard errors for linear regression with
 multi-stage samples. Cameron and Miller, Journal of Human Resources 50 (2015) 317, DOI 10.3368/jhr.50.2.317, sections II
 and VI. Benjamini and Hochberg, Journal of the Royal Statistical Society B 57 (1995) 289.
+
+The gain of a coefficient is the share of a squared error that falls on data to which it was not fitted.
 """
 
 from collections.abc import Sequence
@@ -25,6 +27,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.clustered import sum_over_clusters
 from socast.core.stats.scores import Estimate, compute_half_widths
 from socast.core.stats.splits import deal_folds
 
@@ -127,3 +130,39 @@ def compute_evidence(
     ratio = np.divide(beyond, error, out=np.full(len(size), -np.inf), where=error > 0.0)
     one_sided = stdtr(freedom, -ratio)
     return Evidence(coefficient, error, freedom, z, np.where(sign == 0, np.minimum(2.0 * one_sided, 1.0), one_sided))
+
+
+def fit_other_folds(size: Floats, cross: Floats, fold: Ints) -> Floats:
+    """Return for each unit the coefficients that fit the units of the other folds best, (units, ...).
+
+    Parameters
+    ----------
+    size, cross : (units, ...) float
+        Sums of squares of each column, and of its products with the residual.
+    """
+    rest = [fold != k for k in range(int(fold.max()) + 1)]
+    size, cross = (np.array([each[others].sum(axis=0) for others in rest]) for each in (size, cross))
+    return np.asarray(np.divide(cross, size, out=np.zeros_like(cross), where=size > 0.0)[fold])
+
+
+def cross_fit(column: Floats, residual: Floats, fold: Ints, limits: tuple[float, float]) -> Floats:
+    """Return for each row the coefficient within limits that fits the rows of the other folds best, (n,)."""
+    return np.clip(fit_other_folds(column**2, column * residual, fold), *limits)
+
+
+def measure_gain(before: Floats, after: Floats, cluster: Ints) -> Estimate:
+    """Return the gain from errors before and after.
+
+    Parameters
+    ----------
+    before, after : (n,) float
+        Errors on data to which what was added is not fitted.
+    cluster : (n,) int64
+        Clusters within which errors depend on each other, from 0.
+
+    Examples
+    --------
+    >>> measure_gain(np.array([2.0, 2.0, 2.0]), np.array([1.0, 1.0, 1.0]), np.array([0, 1, 2]))
+    Estimate(value=0.75, error=0.0, freedom=2)
+    """
+    return sum_over_clusters(np.bincount(cluster, before**2 - after**2) / max(float(before @ before), 1e-300))

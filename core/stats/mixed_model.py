@@ -22,6 +22,7 @@ Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -71,12 +72,6 @@ class FixedColumns:
     columns: Floats
     group: Ints
     place: Ints
-
-    @staticmethod
-    def common(columns: Floats) -> "FixedColumns":
-        """Return columns whose coefficients all windows share."""
-        n, k = columns.shape
-        return FixedColumns(columns, np.zeros(n, dtype=np.int64), np.arange(k)[np.newaxis])
 
     @property
     def coefficients(self) -> int:
@@ -221,15 +216,10 @@ class MixedModel:
     def _sum_squares(self, step: SweepStep, level: "_Level") -> Floats:
         """Return the sums of N'BN over the units of a level, at the places of the coefficients."""
         if level.is_global:
-            wide = step.beside.shape[2]
-            return np.asarray(step.beside.reshape(-1, wide).T @ step.gain.reshape(-1, wide))
+            return step.taken
         k = step.beside.shape[2]
-        edges = level.edges
-        sums = np.empty((len(edges) - 1, k, k))
-        for g in range(len(edges) - 1):
-            rows = slice(edges[g], edges[g + 1])
-            sums[g] = step.beside[rows].reshape(-1, k).T @ step.gain[rows].reshape(-1, k)
-        return self._assemble(sums)
+        parts = [(step.beside[rows].reshape(-1, k), step.gain[rows].reshape(-1, k)) for rows in level.groups]
+        return self._assemble(np.array([beside.T @ gain for beside, gain in parts]))
 
     def _pass_back(self, steps: list[SweepStep], by_total: Floats) -> Floats:
         """Return the derivatives of the criterion by the relative variances, from the highest level down."""
@@ -258,11 +248,8 @@ class MixedModel:
         """Return N G of each unit, with G the derivatives of the criterion by the sums of the coefficients."""
         if level.is_global:
             return np.asarray(step.beside @ by_total)
-        out = np.empty_like(step.beside)
-        for g, grid in enumerate(self._grids):
-            rows = slice(level.edges[g], level.edges[g + 1])
-            out[rows] = step.beside[rows] @ padded[grid]
-        return out
+        pairs = zip(level.groups, self._grids, strict=True)
+        return np.concatenate([step.beside[rows] @ padded[grid] for rows, grid in pairs])
 
 
 class _Level(NamedTuple):
@@ -274,8 +261,8 @@ class _Level(NamedTuple):
         Unit of the level above.
     group : (units,) int64
         Group of each unit; not used where units span groups.
-    edges : (groups + 1,) int64
-        First unit of each group, and the number of units.
+    groups : list of slice
+        Units of each group.
     is_global : bool
         Whether sums are beside all coefficients, because a unit spans groups.
     spreads : bool
@@ -284,7 +271,7 @@ class _Level(NamedTuple):
 
     parent: Ints | None
     group: Ints
-    edges: Ints
+    groups: list[slice]
     is_global: bool
     spreads: bool
 
@@ -318,7 +305,8 @@ def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
                 raise ValueError(f"level {i} is not nested in level {i + 1}")
         edges = np.searchsorted(group[first], np.arange(int(group.max()) + 2))
         spreads = not spans[i] and parent is not None and spans[i + 1]
-        out.append(_Level(parent, group[first], edges, spans[i], spreads))
+        groups = [slice(start, stop) for start, stop in pairwise(edges.tolist())]
+        out.append(_Level(parent, group[first], groups, spans[i], spreads))
     return out
 
 

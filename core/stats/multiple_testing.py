@@ -121,12 +121,8 @@ def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Es
     worse = set()
     for (a, b), difference in differences.items():
         if best in {a, b}:
-            more = abs(difference.value) if np.isnan(difference.ci95) else _find_upper_end(difference, a == best)
+            low, high = difference.interval
+            more = abs(difference.value) if np.isnan(high) else -low if a == best else high
             if p[a, b] < SIGNIFICANCE or more > CO_DOMINANCE_MARGIN * least:  # NaN is neither
                 worse.add(b if a == best else a)
     return [name for _, name in known if name not in worse]
-
-
-def _find_upper_end(difference: Estimate, reverse: bool) -> float:
-    """Return the upper end of the 95 % interval of a difference, or of its negative."""
-    return (-difference.value if reverse else difference.value) + difference.ci95

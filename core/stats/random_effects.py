@@ -180,6 +180,12 @@ class SweepStep(NamedTuple):
         inner = (inner + np.swapaxes(inner, 1, 2)) / 2.0
         return SweepStep(own, beside, inner, kept, inner @ beside, kept @ own, kept @ beside, float(logarithm.sum()))
 
+    @property
+    def taken(self) -> Floats:
+        """What the effects take away from the sums of the coefficients and the energy: N'BN over all units, (k, k)."""
+        wide = self.beside.shape[2]
+        return np.asarray(self.beside.reshape(-1, wide).T @ self.gain.reshape(-1, wide))
+
     def pass_back(
         self, times: Floats, by_own: Floats | None, by_beside: Floats | None
     ) -> tuple[Floats, Floats, Floats]:

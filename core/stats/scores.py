@@ -185,7 +185,7 @@ def compute_buffer(measured: Floats, predicted: Floats, share: float) -> float:
     return float(excess[ceil(share * len(excess) - 1e-9) - 1]) if len(excess) else nan
 
 
-def compute_band_shares(measured: Floats, predicted: Floats) -> dict[str, float]:
+def compute_band_shares(measured: Floats, predicted: Floats) -> dict[str, float | None]:
     """Return the share of rides whose error is within 5, 10 and 15 % of the measured energy. [1]"""
     error, limit = np.abs(predicted - measured), np.abs(measured) / 100.0
     return {str(band): float(np.mean(error <= band * limit)) if len(error) else nan for band in BANDS}

@@ -18,9 +18,15 @@ import pandas as pd
 from rich.console import Console
 
 from socast.core import models
-from socast.core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
-from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
-from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.baselines import compute_baselines
+from socast.core.evaluate.soc.cases import (
+    HOURS_AHEAD,
+    SHIFT_KEY,
+    count_impossible_bounds,
+    normalise_keys,
+    replace_outcomes,
+    select_cases,
+)
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
@@ -140,7 +146,7 @@ def judge(
     tables = outlooks, shifts, plans
     cases, of_cases = selected.cases, (compute_baselines, compute_reference)
     cases = pd.concat([cases, *(baseline(cases, *tables) for baseline in of_cases)], axis=1)
-    legs = pd.concat([legs, compute_leg_baselines(legs, *tables), compute_reference(legs, *tables)], axis=1)
+    legs = pd.concat([legs, compute_baselines(legs, *tables), compute_reference(legs, *tables)], axis=1)
     charges = select_charge_cases(outlooks, shifts, plans)
     return Judged(
         fleet,

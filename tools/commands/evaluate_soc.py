@@ -10,9 +10,7 @@ import typer
 
 from socast.core import models
 from socast.core.errors import SettingsError
-from socast.core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
-from socast.core.evaluate.soc.plans import PlanRecorder
-from socast.core.evaluate.soc.query_times import QueryTimes
+from socast.core.evaluate.soc.recorders import RIDE_COLUMNS, LegRecorder, PlanRecorder, QueryTimes, match_legs_to_rides
 from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.pipeline import Pipeline

@@ -22,11 +22,10 @@ from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
 from socast.core.fit.block_sums import build_design
-from socast.core.fit.distortions import DISTORTIONS, gather_distortions
 from socast.core.fit.priors import build_prior, is_curved
 from socast.core.fit.recipes import ROAD_LOAD_TERMS
 from socast.core.fit.ride_blocks import get_names, get_numbers
-from socast.core.fit.row_noise import build_variance_parts
+from socast.core.fit.row_noise import DISTORTIONS, build_variance_parts, gather_distortions
 from socast.core.models import VEHICLE_MODEL, LinearModel, Term, make_physical_term
 from socast.core.models.features import EFFECT_PREFIX, Columns
 from socast.core.stats.random_effects import number_units

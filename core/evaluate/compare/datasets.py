@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats, Ints
-from socast.core.evaluate.binning import bin_rides
+from socast.core.evaluate.binning import list_bins
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.core.evaluate.compare.records import (
     ContrastBin,
@@ -26,6 +26,7 @@ from socast.core.evaluate.compare.records import (
 from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.ride_filter import IDENTITY_COLUMNS
 from socast.core.models import LinearModel
+from socast.core.models.features import divide_by_distance
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
@@ -44,17 +45,18 @@ PROPERTIES: Final = (
     ("state of charge at the start", "%", "soc_start_pct", ""),
 )
 """Properties in which rides may differ: name, unit, column, and the column that divides it."""
-SECONDS_PER_MINUTE: Final = 60.0
-"""Seconds in a minute. [s]"""
+
+Sets = tuple[ComparedRides, ComparedRides]
 
 
 def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> DatasetContrast:
     """Return the differences between two sets of rides, as second less first."""
+    sets, identity = (first, second), list(IDENTITY_COLUMNS)
     return DatasetContrast(
-        shared=_shared(first.rides, second.rides),
-        properties=_properties(first, second),
-        consumption=_contrast(_per_distance(first, first.measured), _per_distance(second, second.measured)),
-        models={label: _model(label, model, first, second) for label, model in models.items()},
+        shared=len(first.rides[identity].merge(second.rides[identity], how="inner", on=identity)),
+        properties=_compare_properties(sets),
+        consumption=_contrast(*(_per_distance(side, side.measured) for side in sets)),
+        models={label: _compare_model(label, model, sets) for label, model in models.items()},
     )
 
 
@@ -66,33 +68,25 @@ def _contrast(one: Estimate, other: Estimate) -> SetContrast:
     )
 
 
-def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
-    """Return the number of rides that are in both sets."""
-    both = one[list(IDENTITY_COLUMNS)].merge(other[list(IDENTITY_COLUMNS)], how="inner", on=list(IDENTITY_COLUMNS))
-    return len(both)
+def _per_distance(compared: ComparedRides, energy: Floats, rows: Ints | slice = slice(None)) -> Estimate:
+    """Return an energy of some rides per distance. [kWh/100 km]"""
+    distance = compared.rides["distance_km"].to_numpy(np.float64)
+    return compute_clustered_ratio(100.0 * energy[rows], distance[rows], compared.clusters[rows])
 
 
-def _per_distance(compared: ComparedRides, energy: Floats) -> Estimate:
-    """Return an energy per distance. [kWh/100 km]"""
-    return compute_clustered_ratio(
-        100.0 * energy, compared.rides["distance_km"].to_numpy(np.float64), compared.clusters
-    )
-
-
-def _properties(first: ComparedRides, second: ComparedRides) -> list[PropertyContrast]:
+def _compare_properties(sets: Sets) -> list[PropertyContrast]:
     """Return the properties of both sets, ordered by their difference relative to the spread between rides."""
     entries: list[dict[str, Any]] = []
     for name, unit, column, per in PROPERTIES:
-        wanted = [column for column in (column, per) if column]
-        if any(name not in side.rides for name in wanted for side in (first, second)):
+        if any(wanted not in side.rides for wanted in (column, per) if wanted for side in sets):
             continue
-        values = [_values(side.rides, column, per) for side in (first, second)]
+        values = [_compute_property(side.rides, column, per) for side in sets]
         known = [np.isfinite(value) for value in values]
         if not all(each.any() for each in known):
             continue
         one, other = (
             compute_clustered_mean(value[at], side.clusters[at])
-            for value, at, side in zip(values, known, (first, second), strict=True)
+            for value, at, side in zip(values, known, sets, strict=True)
         )
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
         apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
@@ -103,70 +97,55 @@ def _properties(first: ComparedRides, second: ComparedRides) -> list[PropertyCon
     return sorted(made, key=lambda entry: -(entry.in_spreads or 0.0))
 
 
-def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
+def _compute_property(rides: pd.DataFrame, column: str, per: str) -> Floats:
     """Return a property of each ride; NaN where it is unknown."""
     values = rides[column].to_numpy(np.float64)
     if per:
-        below = rides[per].to_numpy(np.float64)
-        return np.divide(values, below, out=np.full(len(values), np.nan), where=below > 0.0)
-    return values / SECONDS_PER_MINUTE if column == "duration_s" else values
+        return divide_by_distance(values, rides[per].to_numpy(np.float64))
+    return values / 60.0 if column == "duration_s" else values
 
 
-def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> ModelContrast:
+def _compare_model(label: str, model: LinearModel, sets: Sets) -> ModelContrast:
     """Return the errors of a model on both sets and how much of the difference in consumption it explains."""
-    both = (first, second)
-    one, other = (side.predicted[label] - side.measured for side in both)
-    parts = [model.predict_parts(side.rides) for side in both]
+    one, other = (side.predicted[label] - side.measured for side in sets)
+    parts = [model.predict_parts(side.rides) for side in sets]
     contrasts = {
-        name: _contrast(*(_per_distance(side, each[name]) for side, each in zip(both, parts, strict=True)))
+        name: _contrast(*(_per_distance(side, each[name]) for side, each in zip(sets, parts, strict=True)))
         for name in parts[0]
     }
     terms = [TermContrast(name=name, **msgspec.structs.asdict(contrast)) for name, contrast in contrasts.items()]
-    every = tuple(np.arange(len(side.measured)) for side in both)
     return ModelContrast(
-        **_errors(first, second, one, other, every),
-        explained=_contrast(*(_per_distance(side, side.predicted[label]) for side in both)),
-        unexplained=_contrast(_per_distance(first, -one), _per_distance(second, -other)),
+        **_compare_errors(sets, (one, other), (slice(None), slice(None))),
+        explained=_contrast(*(_per_distance(side, side.predicted[label]) for side in sets)),
+        unexplained=_contrast(_per_distance(sets[0], -one), _per_distance(sets[1], -other)),
         terms=sorted(terms, key=lambda term: -abs(term.difference.value or 0.0)),
-        by=_by_condition(first, second, one, other),
+        by=_compare_by_condition(sets, (one, other)),
     )
 
 
-def _by_condition(
-    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats
-) -> dict[str, list[ContrastBin]]:
+def _compare_by_condition(sets: Sets, errors: tuple[Floats, Floats]) -> dict[str, list[ContrastBin]]:
     """Return bias, error and `consumption` of both sets in each bin that either set has, and `q` of the bias."""
-    together = pd.concat([first.rides, second.rides], ignore_index=True)
-    here = np.arange(len(together)) < len(first.rides)
-    bins = [
-        (name, labels[code], (np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)))
-        for name, (codes, labels) in bin_rides(together).items()
-        for code in np.unique(codes[codes >= 0]).tolist()
-    ]
-    errors = [_errors(first, second, one, other, rows) for *_, rows in bins]
-    rates = adjust_false_discovery(np.array([each["bias_kwh"].p for each in errors], dtype=np.float64)).tolist()
-    kilometres = [side.rides["distance_km"].to_numpy(np.float64) for side in (first, second)]
+    count = len(sets[0].rides)
     made: dict[str, list[ContrastBin]] = {}
-    for (name, label, rows), figures, q in zip(bins, errors, rates, strict=True):
-        consumption = _contrast(
-            *(
-                compute_clustered_ratio(100.0 * side.measured[at], km[at], side.clusters[at])
-                for side, at, km in zip((first, second), rows, kilometres, strict=True)
-            )
-        )
-        entry = ContrastBin(bin=label, n=[len(at) for at in rows], **figures, consumption=consumption, q=q)
+    bins = [
+        (name, label, (rows[rows < count], rows[rows >= count] - count))
+        for name, label, rows in list_bins(pd.concat([side.rides for side in sets], ignore_index=True))
+    ]
+    figures = [_compare_errors(sets, errors, rows) for *_, rows in bins]
+    rates = adjust_false_discovery(np.array([each["bias_kwh"].p for each in figures], dtype=np.float64)).tolist()
+    for (name, label, rows), contrasts, q in zip(bins, figures, rates, strict=True):
+        used = _contrast(*(_per_distance(side, side.measured, at) for side, at in zip(sets, rows, strict=True)))
+        entry = ContrastBin(bin=label, n=[len(at) for at in rows], **contrasts, consumption=used, q=q)
         made.setdefault(name, []).append(entry)
     return made
 
 
-def _errors(
-    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats, at: tuple[Ints, ...]
+def _compare_errors(
+    sets: Sets, errors: tuple[Floats, Floats], rows: tuple[Ints | slice, Ints | slice]
 ) -> dict[str, SetContrast]:
     """Return bias and mean absolute error of some rides of both sets."""
-    sets = list(zip((first, second), (one, other), at, strict=True))
+    parts = [(error[at], side.clusters[at]) for side, error, at in zip(sets, errors, rows, strict=True)]
     return {
-        "bias_kwh": _contrast(*(compute_clustered_mean(off[rows], side.clusters[rows]) for side, off, rows in sets)),
-        "mae_kwh": _contrast(
-            *(compute_clustered_mean(np.abs(off[rows]), side.clusters[rows]) for side, off, rows in sets)
-        ),
+        "bias_kwh": _contrast(*(compute_clustered_mean(error, clusters) for error, clusters in parts)),
+        "mae_kwh": _contrast(*(compute_clustered_mean(np.abs(error), clusters) for error, clusters in parts)),
     }

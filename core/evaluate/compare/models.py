@@ -16,7 +16,7 @@ import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
-from socast.core.evaluate.binning import bin_rides
+from socast.core.evaluate.binning import list_bins
 from socast.core.evaluate.compare.records import (
     ComparedModel,
     Comparison,
@@ -28,12 +28,12 @@ from socast.core.evaluate.compare.records import (
     WorstRide,
     WorstRides,
 )
-from socast.core.evaluate.paper.held_out import word_limited
+from socast.core.evaluate.paper.results import word_limited
 from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
-from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
+from socast.core.evaluate.ride_filter import compute_instrument_shares, find_exclusion_reasons, name_rides
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
-from socast.core.fit.ride_blocks import assign_vehicle_days
+from socast.core.fit.ride_blocks import assign_vehicle_days, get_numbers_if_present
 from socast.core.formatting import format_count
 from socast.core.models import ANY, LinearModel
 from socast.core.models.plausibility import describe_implausible, describe_limited
@@ -117,7 +117,7 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
         clusters=assign_vehicle_days(kept),
         read=len(rides),
         left_out=left_out,
-        notes=(*_notes(kept, models), *_list_limited(kept, models)),
+        notes=_notes(kept, models),
     )
 
 
@@ -152,11 +152,10 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
         for line in describe_implausible(model) + describe_limited(model)
     ]
     for label, model in models.items():
-        trained = model.training
-        if trained is not None:
-            inside = rides["date"].between(trained.first_date, trained.last_date)
-            inside &= rides["vehicle_model"].isin(list(trained.vehicle_models))
-            if n := int((~rides["vehicle_model"].isin(list(trained.vehicle_models))).sum()):
+        if (trained := model.training) is not None:
+            alike = rides["vehicle_model"].isin(list(trained.vehicle_models))
+            inside = alike & rides["date"].between(trained.first_date, trained.last_date)
+            if n := int((~alike).sum()):
                 kinds = ", ".join(trained.vehicle_models)
                 notes.append(
                     f"{label} was fitted to {kinds}; {n:,} of {len(rides):,} rides are of other vehicle models"
@@ -166,18 +165,13 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
                     "may be among them, and its error on other rides is larger: `socast evaluate` measures it"
                 )
-    days = len(np.unique(assign_vehicle_days(rides)))
-    if days == 1:
+    if assign_vehicle_days(rides).max() == 0:
         notes.append(f"{format_count(len(rides), 'ride')} of one car on one day: too few for intervals")
     if "driver_id" not in rides or rides["driver_id"].isna().all():
         notes.append("drivers are unknown: errors are shown by vehicle, not by driver")
-    return tuple(notes)
-
-
-def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> list[str]:
-    """Return a note on each model of which predictions stopped at its limit."""
     counts = {label: model.count_limited(rides, model.predict_energy(rides)) for label, model in models.items()}
-    return [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
+    notes += [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
+    return tuple(notes)
 
 
 def compare_predictions(compared: ComparedRides, word_command: Callable[[str, str], str] = lambda *_: "") -> Comparison:
@@ -222,11 +216,7 @@ def describe_rides(compared: ComparedRides) -> RideSample:
         vehicle_models=sorted(rides["vehicle_model"].unique()),
         first_date=str(rides["date"].min()),
         last_date=str(rides["date"].max()),
-        measured={
-            name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-            for name in ("vi", "soc")
-            if f"energy_{name}_kwh" in rides
-        },
+        measured=compute_instrument_shares(rides),
         noise_floor_kwh=compared.noise_floor,
         below_least=compute_share_below_least(compared.measured),
         consumption_kwh=hold_estimate(compute_clustered_mean(compared.measured, compared.clusters)),
@@ -245,7 +235,7 @@ def compute_errors(compared: ComparedRides, predicted: Floats) -> PredictionErro
         rmse_kwh=scores.compute_rmse(compared.measured, predicted),
         relative=errors.wmape.value,
         relative_bias=_divide_by_mean(off.value, compared.measured),
-        within={**scores.compute_band_shares(compared.measured, predicted)},
+        within=scores.compute_band_shares(compared.measured, predicted),
         **msgspec.structs.asdict(errors),
     )
 
@@ -262,19 +252,14 @@ def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> d
     Units: predicted [kWh].
     """
     error = predicted - compared.measured
-    binned = bin_rides(compared.rides)
-    bins = [
-        (name, labels[code], np.flatnonzero(codes == code))
-        for name, (codes, labels) in binned.items()
-        for code in np.unique(codes[codes >= 0]).tolist()
-    ]
+    bins = list_bins(compared.rides)
     biases = [compute_clustered_mean(error[rows], compared.clusters[rows]) for *_, rows in bins]
     rates = multiple_testing.adjust_false_discovery(np.array([off.p for off in biases])).tolist()
-    made: dict[str, list[ConditionBin]] = {name: [] for name in binned}
+    made: dict[str, list[ConditionBin]] = {}
     for (name, label, rows), off, q in zip(bins, biases, rates, strict=True):
         measured, clusters, size = compared.measured[rows], compared.clusters[rows], np.abs(error[rows])
         mae = float(np.mean(size))
-        made[name].append(
+        made.setdefault(name, []).append(
             ConditionBin(
                 bin=label,
                 n=len(rows),
@@ -317,8 +302,7 @@ def find_worst_rides(
     may use almost no energy. The relative list holds only these rides.
     """
     rides, error, size = compared.rides, predicted - compared.measured, np.abs(compared.measured)
-    spread = rides["energy_sd_kwh"].to_numpy(np.float64) if "energy_sd_kwh" in rides else np.zeros(len(error))
-    known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
+    known = np.nan_to_num(get_numbers_if_present(rides, "energy_sd_kwh", 0.0)) <= MOST_RELATIVE_SD * size
     relative = np.divide(error, size, out=np.full(len(error), np.nan), where=known & (size > 0.0))
     keys = compared.keys
 

@@ -110,13 +110,9 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
     made = _describe_windows(of_ride, measured)
     traces = {label: _trace_model(label, model, ride, columns, of_ride, made, notes) for label, model in models.items()}
     windows_of_ride = {name: values.tolist() for name, values in made.items()}
-    return RideTrace(ride=_describe_ride(ride), windows=TraceWindows(**windows_of_ride), models=traces, notes=notes)
-
-
-def _describe_ride(ride: pd.DataFrame) -> TracedRide:
-    """Return the description of a ride."""
     known = {name: ride[name].iloc[0] for name in TracedRide.__struct_fields__ if name in ride}
-    return TracedRide(**{name: value for name, value in known.items() if not pd.isna(value)})
+    described = TracedRide(**{name: value for name, value in known.items() if not pd.isna(value)})
+    return RideTrace(ride=described, windows=TraceWindows(**windows_of_ride), models=traces, notes=notes)
 
 
 def _measure_windows(ride: pd.DataFrame, of_ride: pd.DataFrame, notes: list[str]) -> Floats:
@@ -186,7 +182,8 @@ def _trace_model(
             f"model {label} cannot be traced: its windows add up to {running[-1]:.3f} kWh, and it "
             f"predicts {predicted:.3f} kWh for the ride; make the tables again with `socast tables`"
         )
-    alone = float(model.predict_energy(_as_rides(ride, of_ride)).sum())
+    of_ride = of_ride.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in of_ride})
+    alone = float(model.predict_energy(of_ride).sum())
     if not np.isfinite(alone) or _differ(alone, predicted):
         notes.append(
             f"{label} is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
@@ -205,11 +202,6 @@ def _trace_model(
         place=place,
         words=describe_divergence(place, error, made, float(running[0]), ride),
     )
-
-
-def _as_rides(ride: pd.DataFrame, of_ride: pd.DataFrame) -> pd.DataFrame:
-    """Return windows with the columns that only their ride has."""
-    return of_ride.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in of_ride})
 
 
 def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> Divergence | None:
@@ -309,7 +301,9 @@ def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFram
         of the first window.
     """
     n = len(windows)
-    made: dict[str, object] = {name: np.full(n + 1, ride[name].iloc[0]) for name in ride.columns if not _changes(name)}
+    changing = LAST | {*MEANS, "wind_from_deg", "average_speed_kmh"}
+    constant = [name for name in ride.columns if name not in changing and not _adds_up(name)]
+    made: dict[str, object] = {name: np.full(n + 1, ride[name].iloc[0]) for name in constant}
     for name in windows.columns:
         if _adds_up(name):
             made[str(name)] = _accumulate(windows[name].to_numpy(np.float64))
@@ -328,11 +322,6 @@ def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFram
 def _adds_up(name: str) -> bool:
     """Return whether a column is summed over windows."""
     return name in SUMS or name.startswith(EFFECT_PREFIX)
-
-
-def _changes(name: str) -> bool:
-    """Return whether a column changes along a ride, so that only its windows give the value."""
-    return _adds_up(name) or name in LAST or name in {*MEANS, "wind_from_deg", "average_speed_kmh"}
 
 
 def _accumulate(values: Floats) -> Floats:

@@ -20,10 +20,9 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.errors import SettingsError, SocastError
-from socast.core.evaluate.paper.held_out import HeldOutPredictions
-from socast.core.evaluate.paper.published import find_paper_key
+from socast.core.evaluate.paper.published import PHYSICAL, find_paper_key
 from socast.core.evaluate.paper.records import LearningPoint, NewVehicleErrors
-from socast.core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
+from socast.core.evaluate.paper.results import HeldOutPredictions, compute_pooled_average, compute_reductions
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
 from socast.core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats.scores import average_over_repeats, compute_group_means
@@ -104,7 +103,8 @@ def compute_tables_12_and_13(
     )
     at = {name: evaluated.vehicle_models.index(name) for name in held}
     means = {r: [compute_pooled_average(held[name], evaluated, r)[at[name]] for name in held] for r in recipes}
-    used = [_consumption(evaluated, i) for i in at.values()]
+    rides_of = [np.flatnonzero(evaluated.model == i) for i in at.values()]
+    used = [_average(evaluated.energy[rows], evaluated, rows) for rows in rides_of]
     reduced = compute_reductions(means, list(held))
     tables = {}
     for recipe in recipes:
@@ -112,18 +112,11 @@ def compute_tables_12_and_13(
         for i, name in enumerate(held):
             error = means[recipe][i]
             rows[name] = {"mae": error, "relative": error / used[i]}
-            if REFERENCE in means:
-                rows[name] |= {"basic": means[REFERENCE][i], "reduction": reduced[recipe][name]}
+            if PHYSICAL in means:
+                rows[name] |= {"basic": means[PHYSICAL][i], "reduction": reduced[recipe][name]}
         mean = {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
         tables[recipe] = {name: NewVehicleErrors(**row) for name, row in (rows | {"average": mean}).items()}
     return tables
-
-
-def _consumption(evaluated: EvaluatedRides, model: int) -> float:
-    """Return the mean energy of a ride, averaged over the scored clusters. [kWh]"""
-    of_model = evaluated.model == model
-    means = compute_group_means(evaluated.energy[of_model], evaluated.cluster[of_model], SCORED_CLUSTERS)
-    return float(means[evaluated.count()[model, :SCORED_CLUSTERS] >= LEAST_RIDES].mean())
 
 
 def list_learners(recipes: Mapping[str, EvaluatedRecipe]) -> list[Learner]:
@@ -198,11 +191,11 @@ def _train(
     return adaptable.adapt(start, evaluated.rides.iloc[new])
 
 
-def _average(error: Floats, evaluated: EvaluatedRides, tested: Positions) -> float:
-    """Return the mean error over clusters, for rides of one vehicle model. [kWh]"""
-    known = ~np.isnan(error)
-    enough = evaluated.count()[evaluated.model[tested[0]], :SCORED_CLUSTERS] >= LEAST_RIDES
-    means = compute_group_means(error[known], evaluated.cluster[tested[known]], SCORED_CLUSTERS)[enough]
+def _average(values: Floats, evaluated: EvaluatedRides, rows: Positions) -> float:
+    """Return the mean over clusters of values of rides of one vehicle model."""
+    known = ~np.isnan(values)
+    enough = evaluated.count()[evaluated.model[rows[0]], :SCORED_CLUSTERS] >= LEAST_RIDES
+    means = compute_group_means(values[known], evaluated.cluster[rows[known]], SCORED_CLUSTERS)[enough]
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 

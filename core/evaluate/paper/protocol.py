@@ -4,7 +4,7 @@
 the same result for any number of processes.
 """
 
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,23 +13,23 @@ import pandas as pd
 from msgspec.structs import replace
 
 from socast.core.errors import ModelError, SettingsError, suggest_names
-from socast.core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
-from socast.core.evaluate.paper.accessories import compute_figure_1
-from socast.core.evaluate.paper.held_out import (
+from socast.core.evaluate.paper import breakdown, new_vehicle, results, selection
+from socast.core.evaluate.paper.breakdown import compute_figure_1
+from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
+from socast.core.evaluate.paper.results import (
     HeldOutPredictions,
     average_over_clusters,
     select_comparable,
     tabulate_estimates,
 )
-from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
 from socast.core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from socast.core.fit.recipes import RECIPES
 from socast.core.fit.segment_network import SegmentRecipe, build_segments
-from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
 from socast.core.models.features import list_raw_columns
-from socast.core.stats.scores import compute_bias, compute_rmse, compute_widening
+from socast.core.stats.scores import compute_band_shares, compute_bias, compute_coverage, compute_rmse, compute_widening
 from socast.core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
@@ -57,7 +57,7 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
     if windows is not None:
         for name, recipe in RECIPES.items():
             if isinstance(recipe, WindowRecipe):
-                known[name] = RecipeWithWindows(recipe, windows)
+                known[name] = recipe.bind(windows)
         known[SEGMENTS] = SegmentRecipe(build_segments(windows), seed)
     if names is None:
         return known
@@ -161,14 +161,10 @@ def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> RecipeEvalua
         raise ModelError(f"no recipe can be evaluated: {held['ride'].notes[0]}")
     new = {name: _select_held_out(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
     curves, failed = new_vehicle.tabulate_learning_curves({key[1:]: done[key] for key in plan.calls if key[0] == "few"})
-    wide = [] if plan.repeats >= FEWEST_REPEATS else [_describe_width(plan.repeats, held["ride"].overlap)]
-    unfitted = [name for name in BUILT_IN_MODELS if name in held["ride"].recipes]
-    hills = [f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else []
-    notes = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed + hills
-    found = _compute_tables(plan, held, new)
+    about = results.describe_evaluation(table, plan.seed, plan.repeats, TEST_SHARE)
     return replace(
-        found,
-        about=replace(found.about, left_out_of_training=list(plan.untrained), notes=notes),
+        _compute_tables(plan, held, new),
+        about=replace(about, left_out_of_training=list(plan.untrained), notes=_list_notes(plan, held, new, failed)),
         recipes={name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes},
         few_shot=curves,
         selection=next((done[key] for key in plan.calls if key[0] == "selection"), RemovableTerms()),
@@ -217,26 +213,29 @@ def _compute_tables(
 ) -> RecipeEvaluation:
     """Return the tables that follow from predictions on the splits of `held`, and on `new` vehicle models."""
     table, ride = plan.table, held["ride"]
-    errors, used = results.estimate_errors(ride, table), results.estimate_consumption(ride, table)
+    used = results.estimate_held_out(ride, table, [table.energy[rows] for rows in ride.rows])
+    errors = {
+        recipe: results.estimate_held_out(ride, table, results.compute_absolute_errors(ride, table, recipe))
+        for recipe in ride.recipes
+    }
     averages = {recipe: [mean.value for mean in average_over_clusters(cells)] for recipe, cells in errors.items()}
     pooled = {
         kind: {recipe: results.compute_pooled_average(held[kind], table, recipe) for recipe in held[kind].recipes}
         for kind in ("vehicle", "date")
     }
     return RecipeEvaluation(
-        about=results.describe_evaluation(table, plan.seed, plan.repeats, TEST_SHARE),
         rides=results.count_rides(table),
         consumption=results.compute_consumption(table),
         test_consumption=tabulate_estimates(used, table),
         mae={recipe: tabulate_estimates(cells, table) for recipe, cells in errors.items()},
         relative=results.compute_errors_over_consumption(errors, used, table),
         reduction=results.compute_reductions(averages, table.vehicle_models),
-        reduction_by_baseline=percentage_errors.compute_reductions_by_baseline(averages, table.vehicle_models),
+        reduction_by_baseline=breakdown.compute_reductions_by_baseline(averages, table.vehicle_models),
         **results.compare_recipes(ride, table)._asdict(),
         bias=breakdown.compute_errors_by_vehicle_model(ride, table, compute_bias),
         rmse=breakdown.compute_errors_by_vehicle_model(ride, table, compute_rmse),
-        bands=breakdown.compute_bands(ride, table),
-        buffer_kwh=breakdown.compute_buffers(ride, table),
+        bands=ride.measure(table, compute_band_shares),
+        buffer_kwh=ride.measure(table, breakdown.compute_buffers),
         buffer_by_cluster=breakdown.compute_buffers_by_cluster(ride, table),
         by=breakdown.compute_errors_by_bin(ride, table),
         coverage=_compute_coverage(table, held, new),
@@ -244,7 +243,7 @@ def _compute_tables(
             kind: {recipe: dict(zip(table.vehicle_models, row, strict=True)) for recipe, row in rows.items()}
             for kind, rows in ({"ride": averages} | pooled).items()
         },
-        percentage=percentage_errors.compute_percentage_errors(held, table),
+        percentage=breakdown.compute_percentage_errors(held, table),
         new_vehicle=new_vehicle.compute_tables_12_and_13(new, table),
         curve=compute_figure_1(table),
     )
@@ -257,7 +256,9 @@ def _compute_coverage(
     coverage = breakdown.compute_interval_coverage(held["ride"], table)
     unseen = {"by_vehicle": held["vehicle"], "by_date": held["date"], "new_vehicle": concatenate_held_out(new)}
     for name, predictions in unseen.items():
-        for recipe, share in breakdown.compute_overall_coverage(predictions, table).items():
+        energy = table.energy[predictions.pooled]
+        for recipe in predictions.bounds:
+            share = compute_coverage(energy, *predictions.all_bounds(recipe))
             coverage[recipe] = replace(coverage.get(recipe, IntervalCoverage()), **{name: share})
     return coverage
 
@@ -276,34 +277,33 @@ def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPred
     )
 
 
-def _list_untested(table: EvaluatedRides, tested: Mapping[Hashable, Split]) -> list[str]:
-    """Return a note on each vehicle model that is not tested as a new one while others are."""
-    return [
+def _list_notes(
+    plan: EvaluationPlan,
+    held: Mapping[Kind, HeldOutPredictions],
+    new: Mapping[Any, HeldOutPredictions],
+    failed: Sequence[str],
+) -> list[str]:
+    """Return what was left out and why, and what else a reader must know; a recipe left out everywhere comes once."""
+    notes, ride, tested = [], held["ride"], plan.splits["new"]
+    if plan.repeats < FEWEST_REPEATS:
+        notes.append(
+            f"intervals by ride are {compute_widening(plan.repeats, ride.overlap):.1f} times as wide over "
+            f"{plan.repeats} repeats as over many: give --repeats {FEWEST_REPEATS} or more"
+        )
+    missing = {"vehicle": ONE_CAR, "date": ONE_DATE, "new": NO_OTHERS}
+    notes += [*(why for kind, why in missing.items() if not plan.splits[kind]), *ride.notes]
+    others = {f"split by {kind}": held_out for kind, held_out in held.items() if kind != "ride"}
+    others |= {f"without {name}": held_out for name, held_out in new.items()}
+    notes += [
+        f"{note} ({where})"
+        for where, held_out in others.items()
+        for note in held_out.notes
+        if note.partition(":")[0] in ride.recipes
+    ]
+    notes += [
         f"{name}: not tested as a new vehicle model, for want of rides to test or of others to train on"
-        for name in table.vehicle_models
+        for name in plan.table.vehicle_models
         if tested and name not in tested
     ]
-
-
-def _describe_width(repeats: int, overlap: float) -> str:
-    """Return a note on the width of intervals over few repeats."""
-    return (
-        f"intervals by ride are {compute_widening(repeats, overlap):.1f} times as wide over {repeats} repeats as over "
-        f"many: give --repeats {FEWEST_REPEATS} or more"
-    )
-
-
-def _list_notes(
-    splits: Mapping[Kind, Any], held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
-) -> list[str]:
-    """Return what was left out and why; a recipe that was left out everywhere is noted once."""
-    notes = []
-    for kind, why in (("vehicle", ONE_CAR), ("date", ONE_DATE), ("new", NO_OTHERS)):
-        if not splits[kind]:
-            notes.append(why)
-    notes += held["ride"].notes
-    others = {f"split by {kind}": held_out for kind, held_out in held.items() if kind != "ride"}
-    for where, held_out in (others | {f"without {name}": held_out for name, held_out in new.items()}).items():
-        notes_of_recipes = [note for note in held_out.notes if note.partition(":")[0] in held["ride"].recipes]
-        notes += [f"{note} ({where})" for note in notes_of_recipes]
-    return notes
+    unfitted = [name for name in BUILT_IN_MODELS if name in ride.recipes]
+    return [*notes, *failed, *([f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else [])]

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 import msgspec
 
 WEIGHTED: Final = "weighted"
-"""Row of Tables 4 to 11: mean over vehicle models, with the weights of `socast.core.evaluate.paper.vehicle_weights`."""
+"""Row of Tables 4 to 11: mean over vehicle models, with the weights of `socast.core.evaluate.paper.results`."""
 AVERAGE: Final = "average"
 """Column of Tables 3 to 11: mean over clusters."""
 

@@ -40,10 +40,6 @@ class EvaluatedRecipe(Protocol):
     """Describe a recipe, treated as a black box."""
 
     @property
-    def name(self) -> str:
-        """Key in results."""
-
-    @property
     def title(self) -> str:
         """Title for readers, as in the paper."""
 
@@ -107,11 +103,6 @@ def run_in_parallel(
     tell = progress or _ignore_progress
     done: dict[Key, Result] = {}
     tell(0, len(calls))
-    if jobs == 1:
-        for key, call in calls.items():
-            done[key] = call_in_one_thread(call)
-            tell(len(done), len(calls))
-        return done
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results = Parallel(n_jobs=jobs, return_as="generator")(
             delayed(call_in_one_thread)(call) for call in calls.values()

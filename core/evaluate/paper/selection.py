@@ -71,9 +71,7 @@ class VehicleModelRegression(RegressorMixin, BaseEstimator):  # type: ignore[mis
         squares = np.zeros(x.shape[1] - 1)
         for model in np.unique(x[:, 0]):
             of_model = x[:, 0] == model
-            moments = Moments(x.shape[1])
-            moments.add(np.column_stack([x[of_model, 1:], y[of_model]]))
-            solution = solve(moments, constant=True)
+            solution = solve(Moments.of(np.column_stack([x[of_model, 1:], y[of_model]])), constant=True)
             self.coefficients_[int(model)] = (solution.coefficients, solution.constant or 0.0)
             squares += np.sum(of_model) * solution.coefficients**2
         self.importance_ = np.append(KEPT_IMPORTANCE, np.sqrt(squares / len(x)))
@@ -108,14 +106,6 @@ class Design(NamedTuple):
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
-class TermRanking(NamedTuple):
-    """Hold the order of elimination, the terms that cross-validation cuts, and its error by number of terms."""
-
-    order: Codes
-    cut: Codes
-    scores: list[TermScore]
-
-
 def plan_selection(
     evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int, margin: float = MARGIN
 ) -> dict[str, Callable[[], Any]]:
@@ -145,12 +135,26 @@ def find_removable_terms(
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
     physical = np.array([term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN)) for term in terms])[varies]
-    ranking = rank_terms(whole.part(halves.train), seed)
-    return _add_losses(ranking, names, varies, physical, whole.part(halves.test), seed, margin)
+    order, cut, scores = rank_terms(whole.part(halves.train), seed)
+    varying = names[varies]
+    last = order[np.argsort(physical[order], kind="stable")]
+    # the cost is measured on the rides that did not rank the terms
+    error, (price, *steps) = compute_losses(whole.part(halves.test), [cut, *_nest(order), *_nest(last)], seed)
+    by_order, by_margin = steps[: len(order)], steps[len(order) :]
+    worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in by_order]
+    too_much = [not loss.upper95 <= margin * error for loss in by_margin]
+    return RemovableTerms(
+        constant=names[~varies].tolist(),
+        rfecv=TermElimination(removed=varying[cut].tolist(), scores=scores, loss=_hold_loss(price)),
+        rfe=TermElimination(**_tabulate_steps(varying[order], by_order, worse)),
+        margin=TermElimination(
+            share=margin, largest=margin * error, error=error, **_tabulate_steps(varying[last], by_margin, too_much)
+        ),
+    )
 
 
-def rank_terms(rides: Design, seed: int) -> TermRanking:
-    """Return the order in which terms are eliminated, and those that cross-validation cuts."""
+def rank_terms(rides: Design, seed: int) -> tuple[Codes, Codes, list[TermScore]]:
+    """Return the order of elimination, the terms that cross-validation cuts, and its error by number of terms."""
     options: dict[str, Any] = {"importance_getter": "importance_"}
     order = RFE(VehicleModelRegression(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
     folds = KFold(FOLDS, shuffle=True, random_state=seed)
@@ -158,40 +162,10 @@ def rank_terms(rides: Design, seed: int) -> TermRanking:
     tried = RFECV(VehicleModelRegression(), cv=folds, scoring=score, min_features_to_select=2, **options)
     tried.fit(rides.table, rides.energy)
     results = tried.cv_results_
-    return TermRanking(
-        np.argsort(-order.ranking_[1:], kind="stable")[: rides.table.shape[1] - 2],
-        np.flatnonzero(~tried.support_[1:]),
-        [
-            TermScore(terms=int(n) - 1, mae=-float(mean))
-            for n, mean in zip(results["n_features"], results["mean_test_score"], strict=True)
-        ],
-    )
-
-
-def _add_losses(
-    ranking: TermRanking,
-    every: NDArray[np.str_],
-    varies: NDArray[np.bool_],
-    physical: NDArray[np.bool_],
-    design: Design,
-    seed: int,
-    margin: float,
-) -> RemovableTerms:
-    """Return the removable terms with their cost on rides that did not rank the terms."""
-    order, cut, names = ranking.order, ranking.cut, every[varies]
-    last = order[np.argsort(physical[order], kind="stable")]
-    error, (price, *steps) = compute_losses(design, [cut, *_nest(order), *_nest(last)], seed)
-    largest = margin * error
-    worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in steps[: len(order)]]
-    too_much = [not loss.upper95 <= largest for loss in steps[len(order) :]]
-    return RemovableTerms(
-        constant=every[~varies].tolist(),
-        rfecv=TermElimination(removed=names[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
-        rfe=TermElimination(**_tabulate_steps(names[order], steps[: len(order)], worse)),
-        margin=TermElimination(
-            share=margin, largest=largest, error=error, **_tabulate_steps(names[last], steps[len(order) :], too_much)
-        ),
-    )
+    eliminated = np.argsort(-order.ranking_[1:], kind="stable")[: rides.table.shape[1] - 2]
+    pairs = zip(results["n_features"], results["mean_test_score"], strict=True)
+    scores = [TermScore(terms=int(n) - 1, mae=-float(mean)) for n, mean in pairs]
+    return eliminated, np.flatnonzero(~tried.support_[1:]), scores
 
 
 def _nest(order: Codes) -> list[Codes]:
@@ -228,8 +202,7 @@ def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
     train, test = design.part(split.train), design.part(split.test)
     for model in np.unique(train.table[:, 0]):
         of_model, tested = train.table[:, 0] == model, test.table[:, 0] == model
-        moments = Moments(train.table.shape[1])
-        moments.add(np.column_stack([train.table[of_model, 1:], train.energy[of_model]]))
+        moments = Moments.of(np.column_stack([train.table[of_model, 1:], train.energy[of_model]]))
         for i, columns in enumerate(kept):
             solution = solve(moments.only([*columns.tolist(), -1]), constant=True)
             predicted = test.table[tested][:, 1 + columns] @ solution.coefficients + (solution.constant or 0.0)

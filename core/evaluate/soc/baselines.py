@@ -46,47 +46,26 @@ LEAST_ERRORS: Final = 20
 def compute_baselines(
     cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
 ) -> pd.DataFrame:
-    """Return the state of charge that each baseline expects at the shift's end.
+    """Return the state of charge that each baseline expects at the end of the shift, or of the leg of cases of legs.
 
     Returns
     -------
     (n, columns) DataFrame
         A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
-        value. [%]
+        value, as `linear` for legs. [%]
     """
-    expected = {"linear": _linear(cases, outlooks), **compute_rate_baselines(cases, shifts)}
-    persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
-    return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
-
-
-def compute_leg_baselines(
-    cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
-) -> pd.DataFrame:
-    """Return the state of charge that each baseline expects at a leg's end; `linear` does not apply to legs.
-
-    Returns
-    -------
-    (n, columns) DataFrame
-        A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
-        value. [%]
-    """
-    expected = {"linear": np.full(len(cases), np.nan), **compute_rate_baselines(cases, shifts)}
-    persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
+    linear = np.full(len(cases), np.nan) if "leg" in cases else _linear(cases, outlooks)
+    persons = pd.DataFrame({"linear": np.clip(linear, 0.0, 100.0), **compute_rate_baselines(cases, shifts)})
     return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
 
 
 def compute_rate_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
-    """Return the state of charge after the kilometres ahead, by the mean and by the official consumption.
-
-    Units: returns [%].
-    """
-    rating = [
-        known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
-    ]
+    """Return the state of charge after the kilometres ahead, by the mean and by the official consumption. [%]"""
+    catalogue = load_catalogue()
+    rating = [known.rated_kwh_per_km if (known := catalogue.get(key)) else None for key in cases["vehicle_model"]]
     rates = {"model_mean": compute_mean_consumption(cases, shifts), "rating": np.array(rating, dtype=np.float64)}
-    km, capacity = (cases[name].to_numpy(np.float64) for name in ("ahead_km", "capacity_kwh"))
-    soc = cases["soc_pct"].to_numpy(np.float64)
-    return {name: soc - 100.0 * rate * km / capacity for name, rate in rates.items()}
+    soc, km, capacity = (cases[name].to_numpy(np.float64) for name in ("soc_pct", "ahead_km", "capacity_kwh"))
+    return {name: np.clip(soc - 100.0 * rate * km / capacity, 0.0, 100.0) for name, rate in rates.items()}
 
 
 def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Floats:
@@ -158,8 +137,7 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
     left = np.maximum(cases["shift_end_s"].to_numpy(np.float64) - time, 0.0)
     passed = time - since
     pace = np.divide(soc_then - soc, passed, out=np.full(len(cases), np.nan), where=passed >= LEAST_PACE_TIME)
-    remaining: Floats = soc - pace * left
-    return remaining
+    return np.asarray(soc - pace * left)
 
 
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:

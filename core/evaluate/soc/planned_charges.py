@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from socast.core.batch import Floats
 from socast.core.evaluate.soc.baselines import BASELINES, compute_baselines, compute_rate_baselines
 from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
 from socast.core.evaluate.soc.regression import REGRESSION_COLUMNS
@@ -102,12 +101,7 @@ def compute_over_charge_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, s
     km = cases["ahead_km"].to_numpy(np.float64) - matched["charge_km"].fillna(0.0).to_numpy(np.float64)
     charged = cases.assign(soc_pct=matched["charge_to_pct"].to_numpy(np.float64), ahead_km=km)
     unknown = dict.fromkeys((*BASELINES, *REGRESSION_COLUMNS), np.full(len(cases), np.nan))
-    return pd.DataFrame(unknown | clip_rates(charged, shifts))
-
-
-def clip_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
-    """Return what mean and official consumption lead to, from 0 to 100 %."""
-    return {name: np.clip(expected, 0.0, 100.0) for name, expected in compute_rate_baselines(cases, shifts).items()}
+    return pd.DataFrame(unknown | compute_rate_baselines(charged, shifts))
 
 
 def select_charge_cases(
@@ -128,7 +122,7 @@ def select_charge_cases(
     over = select_cases(*select_over_charge(outlooks, shifts)).cases
     selected = {}
     if len(until):
-        expected = compute_baselines(until, *parts, plans).assign(**clip_rates(until, shifts))
+        expected = compute_baselines(until, *parts, plans).assign(**compute_rate_baselines(until, shifts))
         selected["to the charge"] = pd.concat([until, expected], axis=1)
     if len(over):
         expected = compute_over_charge_baselines(over, outlooks, shifts)

@@ -42,6 +42,7 @@ FIXED_ERROR: Final = 1.5
 CLASSES: Final = (7.0, 20.0)
 """Edges of the classes of predicted consumption, in each of which errors are collected. [%]"""
 NOMINAL: Final = 0.90
+"""Nominal share of outcomes inside an interval. [1]"""
 REGRESSION_COLUMNS: Final = ("regression", "regression_p05", "regression_p95")
 """State of charge that the regression expects, and the ends of its 90 % interval. [%]"""
 

@@ -15,13 +15,20 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
-from socast.core.evaluate.binning import bin_values
+from socast.core.evaluate.binning import Binning, bin_names, bin_values
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
-from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
-from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
-from socast.core.evaluate.soc.legs import MINUTES
-from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines
+from socast.core.evaluate.soc.cases import (
+    HOURS_AHEAD,
+    SHIFT_KEY,
+    ForecastCases,
+    count_impossible_bounds,
+    normalise_keys,
+    replace_outcomes,
+    select_cases,
+)
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
+from socast.core.evaluate.soc.recorders import MINUTES
 from socast.core.evaluate.soc.records import (
     BaselineErrors,
     BestBaseline,
@@ -36,12 +43,11 @@ from socast.core.evaluate.soc.records import (
     RegressionIntervals,
     SocEvaluation,
 )
+from socast.core.evaluate.soc.regression import NOMINAL
 from socast.core.evaluate.soc.reserve_risk import evaluate_reserve_risk, hold_share
 from socast.core.stats.clustered import compute_clustered_mean
 from socast.core.stats.scores import Codes
 
-NOMINAL: Final = 0.90
-"""Nominal share of outcomes inside the interval."""
 TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
 """Edges of the bands of a shift's mean outside temperature; the first and the last band are open. [°C]"""
 NOVELTIES: Final = (1, 2, 5, 10)
@@ -126,10 +132,13 @@ def evaluate_soc(
         bounds=bounds,
         reserve=evaluate_reserve_risk(cases),
         legs={} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
-        charges={name: compute_charge_figures(group) for name, group in charges.items()},
+        charges={
+            name: _bin_figures(group, group["hours"].to_numpy(), {h: f"{h} h" for h in sorted(set(group["hours"]))})
+            for name, group in charges.items()
+        },
         columns=ForecastColumns(**columns),
         examples=select_examples(cases, outlooks),
-        notes=[*_notes(cases), *_warn_of_bounds(bounds)],
+        notes=_notes(cases, bounds),
     )
 
 
@@ -148,7 +157,7 @@ def compute_leg_figures(
     legs: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
 ) -> dict[str, list[ForecastBin]]:
     """Return the figures of single legs by the time until their end."""
-    cases = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
+    cases = pd.concat([legs, compute_baselines(legs, outlooks, shifts, plans)], axis=1)
     figures = {}
     later = cases[cases["charges"]]
     last = later.sort_values("leg", kind="stable").drop_duplicates(["vehicle_id", "time_s"], keep="last").sort_index()
@@ -160,12 +169,6 @@ def compute_leg_figures(
     return figures
 
 
-def compute_charge_figures(cases: pd.DataFrame) -> list[ForecastBin]:
-    """Return the figures of forecasts around planned charges by the time ahead."""
-    hours = cases["hours"].to_numpy()
-    return _bin_figures(cases, hours, {each: f"{each} h" for each in sorted(set(hours))})
-
-
 def _bin_figures(cases: pd.DataFrame, codes: NDArray[Any], labels: Mapping[int, str]) -> list[ForecastBin]:
     """Return the figures of cases in each bin; the last bin is `all`."""
     gathered = FigureCases.gather(cases)
@@ -175,18 +178,13 @@ def _bin_figures(cases: pd.DataFrame, codes: NDArray[Any], labels: Mapping[int, 
 
 def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[ConditionFigures]]:
     """Return the figures in the bins of each condition: weather, vehicle model, with and without a plan, and others."""
-    novelty = bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES)
-    seen = bin_values(cases["seen"].to_numpy(np.float64), SEEN)
-    fault = pd.Categorical(cases["fault"].replace("", HEALTHY))
-    band = bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
-    model = pd.Categorical(cases["vehicle_model"])
     bins = {
-        "temperature": (band.codes, band.labels),
-        "new weather": (novelty.codes, novelty.labels),
-        "shifts seen": (seen.codes, seen.labels),
-        "display": (fault.codes, tuple(map(str, fault.categories))),
-        "vehicle model": (model.codes, tuple(map(str, model.categories))),
-        "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
+        "temperature": bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES),
+        "new weather": bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES),
+        "shifts seen": bin_values(cases["seen"].to_numpy(np.float64), SEEN),
+        "display": bin_names(cases.assign(fault=cases["fault"].replace("", HEALTHY)), "fault"),
+        "vehicle model": bin_names(cases, "vehicle_model"),
+        "plan": Binning(np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
     }
     hours = cases["hours"].to_numpy(np.int64)
     return {
@@ -255,10 +253,10 @@ def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
 def _against_regression(cases: FigureCases) -> RegressionIntervals:
     """Return the figures of the intervals of the regression and of the forecasts, where both are known."""
     both = cases.only(~np.isnan(cases.numbers["regression_p05"]) & ~np.isnan(cases.numbers["soc_p05_pct"]))
-    figures: dict[str, Any] = {}
-    for prefix, low, high in (("", "regression_p05", "regression_p95"), ("forecast_", "soc_p05_pct", "soc_p95_pct")):
-        figures |= _evaluate_interval(both, low, high, prefix)
-    return RegressionIntervals(n=len(both), **figures)
+    figures = _evaluate_interval(both, "regression_p05", "regression_p95")
+    return RegressionIntervals(
+        n=len(both), **figures, **_evaluate_interval(both, "soc_p05_pct", "soc_p95_pct", "forecast_")
+    )
 
 
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> BaselineErrors:
@@ -315,7 +313,7 @@ def _about(selected: ForecastCases) -> EvaluatedShifts:
     )
 
 
-def _notes(cases: pd.DataFrame) -> list[str]:
+def _notes(cases: pd.DataFrame, bounds: ImpossibleBounds) -> list[str]:
     """Return remarks for the reader."""
     notes = []
     if not cases["planned"].any():
@@ -323,15 +321,10 @@ def _notes(cases: pd.DataFrame) -> list[str]:
     unrated = sorted(set(cases.loc[cases["rating"].isna() & cases["ahead_km"].notna(), "vehicle_model"].astype(str)))
     if unrated:
         notes.append(f"no official rating is known of {', '.join(unrated)}")
+    if bounds.above:
+        above, largest = f"{bounds.above:,} of {bounds.n:,}", f"{bounds.largest:.1f} %"
+        notes.append(f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}")
     return notes
-
-
-def _warn_of_bounds(bounds: ImpossibleBounds) -> list[str]:
-    """Return a remark on upper bounds that no outcome can reach."""
-    if not bounds.above:
-        return []
-    above, largest = f"{bounds.above:,} of {bounds.n:,}", f"{bounds.largest:.1f} %"
-    return [f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}"]
 
 
 def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[ExampleShift]:

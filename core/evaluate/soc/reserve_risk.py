@@ -83,7 +83,9 @@ def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
     by_level |= {str(level): (np.full(len(open_), float(level)), compute_risk_below(open_, level)) for level in LEVELS}
     levels = np.column_stack([level for level, _ in by_level.values()])
     persons = {name: _by_hour(open_, name, levels) for name in BASELINES}
-    lowest, soc = _lowest(open_), _numbers(open_, "soc_pct")
+    end, soc = _numbers(open_, "soc_end_pct"), _numbers(open_, "soc_pct")
+    charged = np.isfinite(_numbers(open_, "charged_s"))  # the lowest charge may be from before the car charged
+    lowest = np.where(charged, end, np.fmin(end, _numbers(open_, "soc_lowest_pct")))
     shift = open_.groupby(SHIFT_KEY, sort=False).ngroup()
     parts = []
     for place, (name, (level, risk)) in enumerate(by_level.items()):
@@ -122,8 +124,7 @@ def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
     mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
     spread = np.where(level < mean, mean - low, high - mean) / BOUND
     off = level - mean
-    risk: Floats = ndtr(np.divide(off, spread, out=np.where(off > 0.0, np.inf, -np.inf), where=spread > 0.0))
-    return risk
+    return np.asarray(ndtr(np.divide(off, spread, out=np.where(off > 0.0, np.inf, -np.inf), where=spread > 0.0)))
 
 
 def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, RiskFigures]:
@@ -204,12 +205,6 @@ def compute_reliability(
         for code, (low, high) in enumerate(pairwise(edges))
         if (mine := place == code).any()
     ]
-
-
-def _lowest(cases: pd.DataFrame) -> Floats:
-    """Return the lowest state of charge after a forecast; where the vehicle charged, that of the shift's end."""
-    end, lowest = _numbers(cases, "soc_end_pct"), _numbers(cases, "soc_lowest_pct")
-    return np.where(np.isfinite(_numbers(cases, "charged_s")), end, np.fmin(end, lowest))
 
 
 def _numbers(cases: pd.DataFrame, column: str) -> Floats:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.fit.distortions import gather_distortions
+from socast.core.fit.row_noise import gather_distortions
 from socast.core.models.features import ACCESSORIES_COLUMN, Columns
 from tests.support.synthetic_windows import build_tables, gather_with_model, make_tables, make_windows, project_base
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from socast.core.errors import ModelError
-from socast.core.fit.block_file import IN_MEMORY, BlockFile
+from socast.core.fit.block_sums import IN_MEMORY, BlockFile
 
 COLUMNS = ("energy_kwh", "lost_m")
 

@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from socast.core.fit.level_spreads import LevelSums, differentiate_level_evidence, estimate_spreads
-from socast.core.fit.nested_effects import LevelSpreads, RideProducts
+from socast.core.fit.nested_effects import (
+    LevelSpreads,
+    LevelSums,
+    RideProducts,
+    differentiate_level_evidence,
+    estimate_spreads,
+)
 from tests.support.nested_rows import PRIOR, SPREADS, Rows
 
 

@@ -9,15 +9,8 @@ from socast.core.columns import ZERO_CELSIUS
 from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import Expectation
 from socast.core.errors import EffectError
-from socast.core.fit.priors import (
-    build_curve,
-    build_curve_prior,
-    build_prior,
-    compute_curve_columns,
-    find_curve_limits,
-    find_limits,
-    flatten_curve,
-)
+from socast.core.fit.accessory_curve import build_curve, compute_curve_columns, flatten_curve
+from socast.core.fit.priors import build_curve_prior, build_prior, find_curve_limits, find_limits
 from socast.core.fit.recipes import ROAD_LOAD_TERMS, make_term
 from socast.core.models import Term
 from socast.core.models.features import Columns

@@ -14,7 +14,7 @@ from socast.core.fit.regression import GROUPS, ClusterScores, Influence, Moments
 def moments_of(*blocks) -> Moments:
     moments = Moments(blocks[0].shape[1])
     for block in blocks:
-        moments.add(block)
+        moments.merge(Moments.of(block))
     return moments
 
 

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from socast.core.columns import ZERO_CELSIUS
-from socast.core.fit.priors import build_curve, flatten_curve
-from socast.core.fit.softened_curve import SOFTENED, compute_softened_power, differentiate_softened_power
+from socast.core.fit.accessory_curve import (
+    SOFTENED,
+    build_curve,
+    compute_softened_power,
+    differentiate_softened_power,
+    flatten_curve,
+)
 from socast.core.vehicles import ACCESSORIES
 
 AMBIENT = np.array([-25.0, -20.2, -20.0, -5.0, 11.7, 12.0, 12.4, 15.0, 21.3, 25.0, 34.9, 40.0])

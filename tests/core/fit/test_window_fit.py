@@ -8,7 +8,6 @@ from socast.core import effects
 from socast.core.errors import ModelError
 from socast.core.fit.priors import build_prior, find_limits
 from socast.core.fit.recipes import ROAD_LOAD_TERMS, fit_to_windows, get_recipe
-from socast.core.fit.window_recipe import RecipeWithWindows
 from socast.core.models import ANY, LinearModel
 from socast.core.models.features import Columns
 from socast.core.models.plausibility import describe_limited, list_implausible
@@ -79,7 +78,7 @@ def test_windows_of_other_rides_change_nothing(tables):
     )
     recipe = get_recipe("road_load")
     expected = recipe.fit(train, windows, covariance=False)
-    assert RecipeWithWindows(recipe, spoilt).fit(train, covariance=False).fits == expected.fits
+    assert recipe.bind(spoilt).fit(train, covariance=False).fits == expected.fits
 
 
 def test_order_of_rows_changes_nothing_but_rounding(tables, model):

@@ -6,8 +6,7 @@ import pytest
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.nested_effects import compute_coefficients, eliminate, integrate_car_factor
 from socast.core.fit.recipes import get_recipe
-from socast.core.fit.window_fit import fit_rows
-from socast.core.fit.window_interval import _HeldOut, add_window_interval
+from socast.core.fit.window_fit import _HeldOut, add_window_interval, fit_rows
 from socast.core.fit.window_solver import RideProducts
 from tests.support.synthetic_windows import make_tables, make_windows
 

@@ -8,10 +8,10 @@ from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from socast.core.errors import ModelError
-from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.recipes import RECIPES, WINDOW_RECIPES, get_recipe
+from socast.core.fit.row_noise import DISTORTIONS
 from socast.core.fit.sklearn_estimator import RecipeRegressor
-from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from socast.core.fit.window_recipe import WindowRecipe
 from tests.support.synthetic_windows import make_tables, make_windows
 
 
@@ -45,7 +45,7 @@ def test_full_recipe_fits_with_its_own_distortions(tables):
 
 def test_bound_recipe_keeps_only_the_columns_that_it_reads(tables):
     recipe = get_recipe("road_load_constant")
-    bound = RecipeWithWindows(recipe, tables[1])
+    bound = recipe.bind(tables[1])
     assert set(bound.windows) <= set(recipe.columns)
     assert (bound.name, bound.title, bound.terms) == (recipe.name, recipe.title, recipe.terms)
 
@@ -57,7 +57,7 @@ def test_bound_recipe_fits_what_the_recipe_fits(tables):
     windows = windows.assign(**drawn, unresolved_braking_kwh=rng.uniform(0.0, 0.01, len(windows)))
     recipe = get_recipe("road_load_constant")
     whole, plain = recipe.fit(rides, windows), recipe.fit(rides, tables[1])
-    bound = RecipeWithWindows(recipe, windows).fit(rides)
+    bound = recipe.bind(windows).fit(rides)
     assert bound.fits == whole.fits
     assert bound.version == whole.version
     assert plain.fits != whole.fits

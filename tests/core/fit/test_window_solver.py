@@ -7,13 +7,23 @@ import pytest
 
 from socast.core.batch import Floats
 from socast.core.fit import window_solver
+from socast.core.fit.accessory_curve import build_curve, flatten_curve
 from socast.core.fit.block_sums import limit_to_one_thread
 from socast.core.fit.measured_rows import join_tables
-from socast.core.fit.priors import build_curve, flatten_curve
+from socast.core.fit.nested_effects import SMALL_STEP
 from socast.core.fit.recipes import get_recipe
 from socast.core.fit.window_fit import gather_rows
-from socast.core.fit.window_problem import GroupRows, Problem, State, move, shift_prior, sum_windows
-from socast.core.fit.window_solver import INDEPENDENT, SMALL_STEP, GroupFit, solve_group
+from socast.core.fit.window_solver import (
+    INDEPENDENT,
+    GroupFit,
+    GroupRows,
+    Problem,
+    State,
+    move,
+    shift_prior,
+    solve_group,
+    sum_windows,
+)
 from socast.core.vehicles import ACCESSORIES
 from tests.support.synthetic_windows import make_tables, make_windows
 

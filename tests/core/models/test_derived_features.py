@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.models import BASIC_PHYSICAL, derived_features
-from socast.core.models.derived_features import DERIVED_COLUMNS
-from socast.core.models.features import Columns, get_unit, list_raw_columns
+from socast.core.models import BASIC_PHYSICAL, features
+from socast.core.models.features import DERIVED_COLUMNS, Columns, get_unit, list_raw_columns
 from tests.support.pooled_rides import fleet
 
 TABLE = fleet(200, 1)
@@ -41,31 +40,29 @@ def test_units_are_known_to_pint(name):
 def test_cabin_is_never_heated_and_cooled_at_once(temperature):
     outside = np.array([temperature])
     heating, cooling = (
-        derived_features.compute_heating_need(outside)[0],
-        derived_features.compute_cooling_need(outside)[0],
+        DERIVED_COLUMNS["heating_need_k"].make(outside)[0],
+        DERIVED_COLUMNS["cooling_need_k"].make(outside)[0],
     )
     assert heating >= 0.0
     assert cooling >= 0.0
     assert heating * cooling == 0.0
-    assert derived_features.compute_deep_cold(outside)[0] <= heating
+    assert DERIVED_COLUMNS["deep_cold_k"].make(outside)[0] <= heating
 
 
 @given(time=st.floats(0.0, 1e7), more=st.floats(0.0, 1e6))
 def test_warm_up_and_soak_shares_rise_from_zero_to_one(time, more):
-    for made in (derived_features.compute_warm_up_share, derived_features.compute_soak_share):
+    for made in (DERIVED_COLUMNS["warmed"].make, DERIVED_COLUMNS["soaked"].make):
         early, late = made(np.array([time, time + more]))
         assert 0.0 <= early <= late <= 1.0
-    assert derived_features.compute_warm_up_share(np.array([derived_features.CABIN_WARM_UP]))[0] == pytest.approx(
-        1.0 - np.exp(-1.0)
-    )
+    assert DERIVED_COLUMNS["warmed"].make(np.array([features.CABIN_WARM_UP]))[0] == pytest.approx(1.0 - np.exp(-1.0))
 
 
 def test_sun_stands_at_its_known_height_over_montreal():
     noon, midnight = 1529596800.0, 1529640000.0  # 21 June 2018, 16:00 UTC, and twelve hours on
-    heights = derived_features.compute_sun_sine(np.array([noon, midnight]), np.full(2, 45.5), np.full(2, -73.6))
+    heights = features.compute_sun_sine(np.array([noon, midnight]), np.full(2, 45.5), np.full(2, -73.6))
     assert np.degrees(np.arcsin(heights[0])) == pytest.approx(67.0, abs=4.0)
     assert heights[1] == 0.0
-    december = derived_features.compute_sun_sine(
+    december = features.compute_sun_sine(
         np.array([1545411600.0]), np.array([45.5]), np.array([-73.6])
     )  # 21 December 2018, 17:00 UTC
     assert np.degrees(np.arcsin(december[0])) == pytest.approx(21.0, abs=4.0)
@@ -77,11 +74,11 @@ def test_basic_energy_equals_the_basic_physical_model():
 
 def test_ride_without_motion_has_the_smallest_size():
     still = TABLE.assign(effect_rolling=0.0, effect_accessories=0.0, distance_km=0.0)
-    assert (Columns(still)["size_kwh"] == derived_features.SMALLEST_RIDE).all()
-    assert (Columns(TABLE)["size_kwh"] > derived_features.SMALLEST_RIDE).all()
+    assert (Columns(still)["size_kwh"] == features.SMALLEST_RIDE).all()
+    assert (Columns(TABLE)["size_kwh"] > features.SMALLEST_RIDE).all()
     assert np.isnan(Columns(still)["stops_per_km"]).all()
 
 
 def test_battery_fullness_and_frost_start_at_their_thresholds():
-    assert derived_features.compute_battery_fullness(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
-    assert derived_features.compute_battery_frost(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]
+    assert DERIVED_COLUMNS["battery_fullness_pct"].make(np.array([50.0, 88.0, 98.0])).tolist() == [0.0, 0.0, 10.0]
+    assert DERIVED_COLUMNS["battery_frost_k"].make(np.array([25.0, 5.0, -5.0])).tolist() == [0.0, 0.0, 10.0]

@@ -8,8 +8,8 @@ import pytest
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import EffectError, ModelError
 from socast.core.fit.recipes import RECIPES
-from socast.core.models.derived_features import DERIVED_COLUMNS
 from socast.core.models.features import (
+    DERIVED_COLUMNS,
     FEATURES,
     Columns,
     derive_coefficient_unit,

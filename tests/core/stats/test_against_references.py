@@ -16,7 +16,6 @@ from socast.core.stats import (
     clustered,
     conformal,
     evidence,
-    held_out_gain,
     multiple_testing,
     random_effects,
     scores,
@@ -151,15 +150,15 @@ def evidence_of_a_column(rng):
 def gain(rng):
     before, after, cluster = *rng.normal(size=(2, 60)), np.repeat(np.arange(20), 3)
     falls = np.add.reduceat(before**2 - after**2, np.arange(0, 60, 3)) / np.sum(before**2)
-    return state(held_out_gain.measure_gain(before, after, cluster)), 20.0 * np.array(classical(falls))
+    return state(evidence.measure_gain(before, after, cluster)), 20.0 * np.array(classical(falls))
 
 
 def coefficients_of_other_folds(rng):
     column, residual, fold = *rng.normal(size=(2, 60)), rng.permutation(60) % 4
     fits = [np.linalg.lstsq(column[fold != k, np.newaxis], residual[fold != k], rcond=None)[0][0] for k in range(4)]
     limits = -0.05, 0.05
-    ours = held_out_gain.fit_other_folds(column**2, column * residual, fold)
-    both = np.array([ours, held_out_gain.cross_fit(column, residual, fold, limits)])
+    ours = evidence.fit_other_folds(column**2, column * residual, fold)
+    both = np.array([ours, evidence.cross_fit(column, residual, fold, limits)])
     return both, np.array([np.array(fits), np.clip(fits, *limits)])[:, fold]
 
 

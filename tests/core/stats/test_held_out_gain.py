@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.core.stats.held_out_gain import cross_fit, measure_gain
+from socast.core.stats.evidence import cross_fit, measure_gain
 
 FREE = (-np.inf, np.inf)
 

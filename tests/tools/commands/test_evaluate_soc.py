@@ -11,7 +11,7 @@ from rich.console import Console
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.records import EstimatedValue
-from socast.core.evaluate.soc.legs import LegRecorder
+from socast.core.evaluate.soc.recorders import LegRecorder
 from socast.core.evaluate.soc.records import ClusteredShare, ForecastBin
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.models import EXTENDED_PHYSICAL

@@ -55,27 +55,6 @@ def test_short_ramp_is_stated_by_its_days_and_not_by_months():
     assert "month" not in first + amounts
 
 
-def make_implausible(**changes):
-    """Return a deviation whose cause would need an implausible coefficient."""
-    steep = {"value": 0.0091, "ci95": [0.005, 0.013], "unit": "1/K", "low": 0.0, "high": 0.0003, "plausible": False}
-    return make_deviation(effect="cold_rolling", coefficient=steep, **changes)
-
-
-def test_implausible_cause_leads_only_where_nothing_else_is_named():
-    result = make_empty_diagnosis(deviations=[make_implausible(who="taxi-001"), make_deviation()])
-    assert describe_verdict(result)[0].startswith("Finding: taxi-005")
-    first, doubt, *_ = describe_verdict(make_empty_diagnosis(deviations=[make_implausible()]))
-    assert first.startswith("Finding: taxi-005")
-    assert "does not explain it" in doubt
-    assert describe_verdict(make_diagnosis(deviations=[make_implausible()]))[0].startswith("cold_rolling")
-
-
-def test_cause_of_implausible_size_is_marked():
-    causes = [{"effect": "roof_load", "probability": 0.3}, {"effect": "snow", "probability": 0.6, "plausible": False}]
-    first, *_ = describe_deviation(make_deviation(causes=causes))
-    assert first.endswith(": a load on the roof 30 %, snow 60 % (of implausible size)")
-
-
 def test_less_energy_of_all_cars_is_called_less():
     changed = make_deviation(of="all", who="all", share=-0.03, share_ci95=[-0.04, -0.02])
     assert describe_deviation(changed)[0].startswith("All cars use 3.0 ± 1.0 % less since")
@@ -143,14 +122,6 @@ def test_change_that_no_term_holds_is_to_be_checked(changes, held):
     (line,) = describe_next_step(make_change(columns=[], **changes, **rate))
     assert line.startswith("Check taxi-005 for low tyre pressure since 2018-11-14")
     assert f"no term of a model holds {held}" in line
-
-
-def test_cause_of_an_implausible_coefficient_is_doubted():
-    result = make_empty_diagnosis(unknown=[make_unknown_cause()], deviations=[make_implausible()])
-    words = "old rolling alone does not explain it: coefficient 0.0091 1/K, 95 % interval 0.005 to 0.013; NOT plausible"
-    assert any(words in line for line in describe_verdict(result))
-    assert any(words in line for line in describe_deviations(result))
-    assert not any("alone does not explain" in line for line in describe_verdict(make_change()))
 
 
 def test_many_causes_are_counted():

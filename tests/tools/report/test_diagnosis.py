@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from socast.core.diagnose.records import Diagnosis, TestedEffect
+from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, TestedEffect, UnknownCause
 from socast.tools.commands.diagnose import insert_commands, parse_term
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
@@ -141,17 +141,12 @@ def test_headline_says_how_probable_it_is_that_nothing_is_missing(causes, stated
     assert sentences.describe_verdict(make_empty_diagnosis(causes=rows)) == [stated]
 
 
-def make_implausible(**changes):
-    """Return a missing effect whose coefficient is outside its plausible range."""
-    return make_missing_effect(coefficient=make_diagnosis().missing[1].coefficient, **changes)
-
-
 def test_doubtful_effect_is_to_be_tried_and_not_relied_on():
-    result = make_diagnosis(missing=[make_implausible(gain_ci95=[-0.1, 0.3])], deviations=[])
+    result = make_diagnosis(missing=[make_missing_effect(gain_ci95=[-0.1, 0.3], effective_dates=2.0)], deviations=[])
     advice = sentences.describe_next_step(result)[0]
     assert advice == (
-        "Try cold_rolling in all cars, and do not rely on it yet: its coefficient is not plausible, so that it may "
-        "stand for another cause and its gain on held-out days is not certain."
+        "Try cold_rolling in all cars, and do not rely on it yet: its gain on held-out days is not certain and nearly "
+        "all of it lies on 2 dates."
     )
     assert sentences.find_recommended(result) == "cold_rolling"
 
@@ -237,21 +232,34 @@ def test_headline_counts_effects_beyond_the_third():
     assert lines[-1] == "1 cause outside the library: see Remaining error."
 
 
-def test_headline_doubts_an_effect_of_implausible_size():
-    one = make_diagnosis(missing=[make_implausible(**CERTAIN)], deviations=[], unknown=[])
-    (line,) = sentences.describe_verdict(one)
-    assert line.startswith("cold_rolling is missing in all cars (100 %). Cold tyres")
-    assert "NOT plausible (range 0 to 60 N): it may stand for another cause." in line
+def test_deviation_leads_only_where_nothing_is_missing_in_all_cars():
+    both = make_diagnosis(missing=[make_missing_effect(**CERTAIN)])
+    assert sentences.describe_verdict(both)[0].startswith("cold_rolling is missing in all cars")
+    add, *_, then = [line for line in sentences.describe_next_step(both) if "socast" not in line][:2]
+    assert (add, then[:21]) == ("Add cold_rolling in all cars.", "Then test the finding")
+    one = make_empty_diagnosis(deviations=both.deviations)
+    assert sentences.describe_verdict(one)[0].startswith("Finding: taxi-005")
+    assert sentences.describe_next_step(one)[0].startswith("Test the finding")
+    assert sentences.find_recommended(one) is None
+    assert sentences.title_verdict(one) == "Taxi-005 changed"
 
 
-def test_plausible_deviation_comes_before_an_effect_of_implausible_size():
-    result = make_diagnosis(missing=[make_implausible(**CERTAIN)])
-    assert sentences.describe_verdict(result)[0].startswith("Finding: taxi-005")
-    test, then = sentences.describe_next_step(result)[:2]
-    assert test.startswith("Test the finding")
-    assert then.startswith("Then try cold_rolling in all cars, and do not rely on it yet")
-    assert sentences.find_recommended(result) is None
-    assert sentences.title_verdict(result) == "Taxi-005 changed"
+def test_effect_of_implausible_size_is_told_as_a_cause_outside_the_library():
+    cause = UnknownCause(
+        formula="cold_rolling at 5.0 times its largest plausible coefficient",
+        probability=1.0,
+        energy_share=0.07,
+        energy_share_ci95=(0.05, 0.09),
+        coefficient=EstimatedCoefficient(value=0.0015, unit="1/K"),
+        resembles="cold_rolling",
+    )
+    result = make_empty_diagnosis(unknown=[cause])
+    assert sentences.describe_unknown(cause) == [
+        "Something outside the library is missing (probability 100 %), with 7.0 % (95 % interval 5.0 to 9.0 %) of the "
+        "energy, like cold_rolling at 5.0 times its largest plausible coefficient; c = 0.0015 1/K."
+    ]
+    assert sentences.describe_suggestion(result) == []
+    assert "--suggest" not in sentences.describe_next_step(result)[0]
 
 
 def test_uncorrelated_rival_is_not_called_indistinguishable():

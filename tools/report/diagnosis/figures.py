@@ -127,7 +127,7 @@ def draw_effects(result: Diagnosis) -> list[Illustration]:
         "Each effect beside the others, as a share of the error that the terms of the model cannot explain. "
         "Lines: 95 % intervals."
     )
-    gains_figure = Illustration("effects", "Missing effects, plausible ones first", caption, made)
+    gains_figure = Illustration("effects", "Missing effects, in the order in which to add them", caption, made)
     return [gains_figure, *draw_coefficients(rows), *draw_partial_residuals(result)]
 
 

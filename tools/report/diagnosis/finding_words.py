@@ -102,7 +102,6 @@ def describe_deviation(one: CarDeviation) -> list[str]:
         lines.append(f"- {sure}")
     if not has_certain_size(one):
         lines.append("- the interval of its size contains zero: record more rides before you rely on it")
-    lines += [f"- {doubt}" for doubt in _doubt_cause(one)]
     amounts = []
     if (per_km := one.kwh_per_km) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
@@ -127,19 +126,10 @@ def _word_cause(one: CarDeviation) -> str:
     return f"if it is {name_cause(one.effect)}: {one.words}"
 
 
-def _doubt_cause(one: CarDeviation) -> list[str]:
-    """Return that the most probable cause would need an implausible coefficient, if it would."""
-    if one.coefficient.plausible:
-        return []
-    cause, words = name_cause(one.effect), describe_coefficient(one.coefficient)
-    return [f"{cause} alone does not explain it: {words}"]
-
-
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
     words = _word_cause(found)
     lines = [f"Finding: {word_deviation(found)}.{f' {words[:1].upper()}{words[1:]}.' if words else ''}"]
-    lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]
     if sure := _word_probability(found):
         lines.append(f"This finding is {sure}; the probabilities of its causes hold if it is.")
     return lines

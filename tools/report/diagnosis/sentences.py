@@ -236,8 +236,7 @@ def describe_verdict(result: Diagnosis) -> list[str]:
     if result.unknown:
         common.append(f"{count_things(len(result.unknown), 'cause')} outside the library: see Remaining error.")
     episode = describe_leading_episode(result)
-    leads = found is not None and find_leading(result) is found
-    return [*episode, *finding, *common] if leads else [*episode, *common, *finding]
+    return [*episode, *common, *finding] if result.leading else [*episode, *finding, *common]
 
 
 def title_verdict(result: Diagnosis) -> str:
@@ -279,9 +278,8 @@ def _list_named(result: Diagnosis) -> list[NamedEffect]:
 
 
 def _describe_named(one: NamedEffect, result: Diagnosis) -> str:
-    """Return that an effect is missing, how large it is, and whether such a size is plausible."""
-    doubt = "" if one.coefficient.plausible else f"; {describe_coefficient(one.coefficient)}"
-    size = f"{one.words}{doubt}".removeprefix("; ")
+    """Return that an effect is missing, and how large it is."""
+    size = one.words
     if size:
         size = f" If it is {one.effect}: {size}." if one.others else f" {size[:1].upper()}{size[1:]}."
     return f"{name_missing(one, result)}.{size}"
@@ -399,9 +397,8 @@ def describe_suggestion(result: Diagnosis, file: str | None = None) -> list[str]
 
 
 def find_recommended(result: Diagnosis) -> str | None:
-    """Return the effect to add in all cars first; None where nothing is missing in them, or a deviation comes first."""
-    first = find_leading(result)
-    return first.effect if isinstance(first, NamedEffect) else None
+    """Return the effect to add in all cars first; None where nothing is missing in them."""
+    return result.leading.effect if result.leading else None
 
 
 def describe_next_step(result: Diagnosis) -> list[str]:
@@ -410,14 +407,12 @@ def describe_next_step(result: Diagnosis) -> list[str]:
 
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
-    """Return what to do about missing effects and deviations, in the order of the headline, with their commands."""
+    """Return what to do about missing effects, and then about deviations, with their commands."""
     first, found = result.leading, find_leading_deviation(result.deviations)
-    leading = find_leading(result)
-    if leading is None:
+    if first is None and found is None:
         return [_advise_without_effect(result)]
-    steps = [_advise_adding(first) if first else [], advise_test(found) if found else []]
-    before, after = steps if isinstance(leading, NamedEffect) else reversed(steps)
-    return [*before, f"Then {after[0][:1].lower()}{after[0][1:]}", *after[1:]] if after else before
+    before, after = _advise_adding(first) if first else [], advise_test(found) if found else []
+    return [*before, f"Then {after[0][:1].lower()}{after[0][1:]}", *after[1:]] if before and after else before + after
 
 
 def _advise_adding(one: NamedEffect) -> list[str]:
@@ -438,7 +433,7 @@ def _advise_without_effect(result: Diagnosis) -> str:
         who = name_deviating(result.deviations[0])
         return f"Record more rides: how much {who} use{'' if who == 'all cars' else 's'} more or less is not certain."
     first = result.causes[0] if result.causes else None
-    if result.unknown:
+    if any(one.file for one in result.unknown):
         return (
             "No effect of the library is named, but something outside it is missing. Write an effect of your own from "
             "its form: socast diagnose --suggest FILE.py."
@@ -453,8 +448,6 @@ def _advise_without_effect(result: Diagnosis) -> str:
 def _list_doubts(one: NamedEffect) -> list[str]:
     """Return why an effect may be refused when it is added, or stand for another cause."""
     doubts = []
-    if not one.coefficient.plausible:
-        doubts.append("its coefficient is not plausible, so that it may stand for another cause")
     if one.gain is not None and one.gain < LEAST_GAIN:
         doubts.append(f"it explains less than {format_percent(LEAST_GAIN)} of the error, which socast add asks for")
     elif one.has_uncertain_gain:

@@ -43,7 +43,7 @@ def tabulate_slices(result: Diagnosis) -> ReportTable:
 
 
 def tabulate_missing_effects(result: Diagnosis) -> ReportTable:
-    """Return the missing effects, plausible ones first."""
+    """Return the missing effects, in the order in which to add them."""
     return tabulate_records(
         "Missing effects",
         result.missing,

@@ -9,7 +9,7 @@ from rich.console import Console
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
 from socast.core.evaluate.soc.records import ClusteredShare, EvaluatedShifts, ExampleShift, SocEvaluation
-from socast.core.evaluate.soc.report import NOMINAL
+from socast.core.evaluate.soc.regression import NOMINAL
 from socast.core.formatting import format_count, format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.tools.report.document import Illustration, Report, Section, print_report

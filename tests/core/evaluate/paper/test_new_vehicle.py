@@ -9,7 +9,6 @@ import pytest
 
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.paper import new_vehicle
-from socast.core.evaluate.paper.held_out import select_comparable
 from socast.core.evaluate.paper.new_vehicle import (
     Learner,
     compute_learning_curve,
@@ -21,6 +20,7 @@ from socast.core.evaluate.paper.new_vehicle import (
     split_by_vehicle_model,
     tabulate_learning_curves,
 )
+from socast.core.evaluate.paper.results import select_comparable
 from socast.core.evaluate.paper.runs import fit_and_predict
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
 from tests.support import planted_rides

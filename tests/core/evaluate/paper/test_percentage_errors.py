@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.core.evaluate.paper.held_out import HeldOutPredictions
-from socast.core.evaluate.paper.percentage_errors import compute_percentage_errors, compute_reductions_by_baseline
+from socast.core.evaluate.paper.breakdown import compute_percentage_errors, compute_reductions_by_baseline
+from socast.core.evaluate.paper.results import HeldOutPredictions
 from socast.core.evaluate.ride_filter import EvaluatedRides
 
 ENERGY = np.array([1.0, 2.0, 4.0, 0.05])

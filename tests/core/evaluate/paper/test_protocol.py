@@ -12,10 +12,10 @@ import pytest
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.binning import SEASONS
-from socast.core.evaluate.paper.accessories import compute_figure_1
-from socast.core.evaluate.paper.held_out import select_comparable, word_limited
+from socast.core.evaluate.paper.breakdown import compute_figure_1
 from socast.core.evaluate.paper.protocol import evaluate, select_recipes
 from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.evaluate.paper.results import select_comparable, word_limited
 from socast.core.evaluate.paper.runs import Prediction
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import WEIGHTED, load_paper
-from socast.core.evaluate.paper.vehicle_weights import weigh_vehicle_models
+from socast.core.evaluate.paper.results import weigh_vehicle_models
 
 CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")
 KEYS = tuple(model.catalogue[0] for model in load_paper().vehicle_models.values())

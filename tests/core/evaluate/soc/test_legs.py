@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from socast.core.errors import AskError
-from socast.core.evaluate.soc.legs import LEAST_INTERVAL, LegRecorder, match_legs_to_rides
+from socast.core.evaluate.soc.recorders import LEAST_INTERVAL, LegRecorder, match_legs_to_rides
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from tests.support.soc_frames import CAPACITY, make_frames

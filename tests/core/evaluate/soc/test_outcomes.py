@@ -4,9 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.core.evaluate.soc.cases import select_cases
-from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
-from socast.core.evaluate.soc.plans import PLAN_COLUMNS, PlanRecorder
+from socast.core.evaluate.soc.cases import count_impossible_bounds, replace_outcomes, select_cases
+from socast.core.evaluate.soc.recorders import PLAN_COLUMNS, PlanRecorder
 from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import compute_interval_score, evaluate_soc
 from socast.core.wire.messages import Message

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from socast.core.evaluate.soc.query_times import QUERY_INTERVAL, QueryTimes
+from socast.core.evaluate.soc.recorders import QUERY_INTERVAL, QueryTimes
 from socast.core.wire.messages import Message
 from tests.support.batched_recordings import make_batch
 
