@@ -254,10 +254,9 @@ def test_effect_of_implausible_size_is_told_as_a_cause_outside_the_library():
         resembles="cold_rolling",
     )
     result = make_empty_diagnosis(unknown=[cause])
-    assert sentences.describe_unknown(cause) == [
-        "Something outside the library is missing (probability 100 %), with 7.0 % (95 % interval 5.0 to 9.0 %) of the "
-        "energy, like cold_rolling at 5.0 times its largest plausible coefficient; c = 0.0015 1/K."
-    ]
+    (line,) = sentences.describe_unknown(cause)
+    assert "of the energy, like cold_rolling at 5.0 times its largest plausible coefficient; c = 0.0015" in line
+    assert "resembles" not in line
     assert sentences.describe_suggestion(result) == []
     assert "--suggest" not in sentences.describe_next_step(result)[0]
 
