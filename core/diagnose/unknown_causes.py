@@ -58,7 +58,7 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
     every: tuple[LikelyCause | ExpectedCause, ...] = (*inference.findings, *inference.expected)
     for one in every:
         form = one.form if isinstance(one, LikelyCause) else None
-        if not one.is_sure or (form is None and one.is_plausible):
+        if not one.is_supported or (form is None and one.is_plausible):
             continue
         size = one.size.estimate
         share = float(np.abs(one.column).sum() / seen.measured.sum())
@@ -87,12 +87,13 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
 
 def _word_implausible(one: LikelyCause | ExpectedCause) -> str:
     """Return how far the coefficient of an effect lies beyond its plausible range, and where it acts."""
-    times = abs(one.size.estimate.value) / one.largest
+    (lowest, largest), value = one.limits, one.size.estimate.value
+    times, end = (value / largest, "largest") if value > 0.0 or lowest == 0.0 else (value / lowest, "smallest")
     where = ""
     if isinstance(one, LikelyCause) and one.family.is_scoped:
         since = f" since {one.when.since}" if one.when.since else ""
         where = f" in {'all cars' if one.family.who == 'all' else one.family.who}{since}"
-    return f"{one.effect}{where} at {times:.1f} times its largest plausible coefficient"
+    return f"{one.effect}{where} at {times:.1f} times its {end} plausible coefficient"
 
 
 def find_resembling(form: FormTerm, energy: Floats, columns: WindowColumns) -> str | None:

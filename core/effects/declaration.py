@@ -249,6 +249,11 @@ class Effect:
         changes = [(n, v) for n, p in self.parameters.items() for v in p.grid if v != p.value]
         return tuple(self.variant({name: value}) for name, value in changes)
 
+    @property
+    def largest(self) -> float:
+        """Largest plausible absolute value of the coefficient. [unit]"""
+        return max(abs(self.low), abs(self.high))
+
     def is_plausible(self, begin: float, end: float) -> bool:
         """Return whether an interval of the coefficient reaches the plausible range. [unit]"""
         return begin <= self.high and end >= self.low

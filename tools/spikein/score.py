@@ -334,7 +334,7 @@ def _find_form(spiked: Study, truth: Floats, right: Sequence[str]) -> Form | Non
         return None
     likeness, at, coefficient = best
     effect = effects.get(columns.names[at])
-    plausible = abs(coefficient) <= max(abs(effect.low), abs(effect.high))
+    plausible = abs(coefficient) <= effect.largest
     return Form(coefficient, plausible, columns.effects[:, at] * coefficient, likeness**2)
 
 

@@ -6,7 +6,8 @@
 3. The odds of each finding are those of two models, with and without it, whose spreads are learned each time. The
    windows have the weights of the model without it.
 
-The coefficient of an effect lies in its plausible range beforehand, whatever its scope. So a cause that only an
+Beforehand, a coefficient lies between zero and its largest plausible value, or between plus and minus that value where
+both signs are plausible, as within a scope. Expected effects have a normal distribution. So a cause that only an
 implausible coefficient would explain is left to other effects, or to forms outside the library.
 
 The size of a finding has a standard error that allows its column to act differently on different dates, and its formula
@@ -82,19 +83,13 @@ class Size(NamedTuple):
     @property
     def excludes_zero(self) -> bool:
         """Whether the 95 % interval of the coefficient excludes zero."""
-        return self.nearest > 0.0
-
-    @property
-    def nearest(self) -> float:
-        """Least absolute value of the coefficient within its 95 % interval."""
         low, high = self.estimate.interval
-        return max(low, -high, 0.0)
+        return low * high > 0.0
 
-
-def _find_largest(variant: str) -> float:
-    """Return the largest plausible absolute value of the coefficient of an effect."""
-    declared = effects.get(variant)
-    return max(abs(declared.low), abs(declared.high))
+    def reaches(self, limits: tuple[float, float]) -> bool:
+        """Return whether the 95 % interval of the coefficient reaches a range. [unit of the coefficient]"""
+        low, high = self.estimate.interval
+        return low <= limits[1] and high >= limits[0]
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ class LikelyCause:
     dates : dict of int to float
         Probability of each place of the family, given that one is true. [1]
     place : int
-        Timing of the best alternative.
+        Index in `family.places` of the timing of the best alternative.
     column : (n,) float
         Energy of the best alternative per unit of its coefficient. [kWh]
     form : FormTerm, optional
@@ -150,25 +145,26 @@ class LikelyCause:
         return self.family.places[self.place]
 
     @property
-    def is_sure(self) -> bool:
-        """Whether something like it is likely: its 95 % interval excludes zero, and no form is more probable."""
+    def is_supported(self) -> bool:
+        """Whether the data support it: it is likely, its 95 % interval excludes zero, and no form is more probable."""
         doubtful = self.form is None and self.causes.get(UNKNOWN, 0.0) >= LIKELY
         return self.probability >= LIKELY and self.size.excludes_zero and not doubtful
 
     @property
-    def largest(self) -> float:
-        """Largest plausible absolute value of the coefficient of the effect. [unit of the coefficient]"""
-        return _find_largest(self.variant)
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest plausible coefficient of the effect where it acts. [unit of the coefficient]"""
+        largest = effects.get(self.effect).largest
+        return self.family.lowest * largest, largest
 
     @property
     def is_plausible(self) -> bool:
-        """Whether its 95 % interval reaches the plausible range, up to the sign; forms have none."""
-        return self.form is not None or self.size.nearest <= self.largest
+        """Whether its 95 % interval reaches these limits; forms have none."""
+        return self.form is not None or self.size.reaches(self.limits)
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is named: something like it is likely, and its size is plausible."""
-        return self.is_sure and self.is_plausible
+        """Whether it is named: the data support it, and its size is plausible."""
+        return self.is_supported and self.is_plausible
 
 
 @dataclass(frozen=True)
@@ -182,24 +178,24 @@ class ExpectedCause:
     column: Floats
 
     @property
-    def is_sure(self) -> bool:
-        """Whether something like it is likely, and its 95 % interval excludes zero."""
+    def is_supported(self) -> bool:
+        """Whether the data support it: it is likely, and its 95 % interval excludes zero."""
         return self.probability >= LIKELY and self.size.excludes_zero
 
     @property
-    def largest(self) -> float:
-        """Largest plausible absolute value of the coefficient of the effect. [unit of the coefficient]"""
-        return _find_largest(self.effect)
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest plausible coefficient. [unit of the coefficient]"""
+        return 0.0, effects.get(self.effect).largest
 
     @property
     def is_plausible(self) -> bool:
-        """Whether its 95 % interval reaches the plausible range."""
-        return self.size.nearest <= self.largest
+        """Whether its 95 % interval reaches these limits."""
+        return self.size.reaches(self.limits)
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is named: something like it is likely, and its size is plausible."""
-        return self.is_sure and self.is_plausible
+        """Whether it is named: the data support it, and its size is plausible."""
+        return self.is_supported and self.is_plausible
 
 
 @dataclass(frozen=True)
@@ -213,7 +209,8 @@ class Inference:
     expected : tuple of ExpectedCause
         Effects that physics expects.
     alone : dict of str to (str, float)
-        Effects tested in all cars -> best variant alone, before any effect is known, and its standard errors. [1]
+        Effects tested in all cars -> best variant alone, before any effect is known, and its coefficient over its
+        standard error. [1]
     chances : dict of str to float
         The same effects -> probability that they are missing. [1]
     unidentified : frozenset of str

@@ -41,7 +41,7 @@ PRIOR_UNKNOWN: Final = 0.2
 PRIOR_CAR: Final = 0.01
 """Probability beforehand that a car differs from its siblings by more than cars do."""
 PRIOR_CHANGE: Final = 0.3
-"""Probability beforehand that one of the cars changed, in one of them at most."""
+"""Number of cars expected beforehand to have changed; each car has an equal share."""
 PRIOR_ALL: Final = 0.05
 """Probability beforehand that all cars, or a group, changed."""
 PRIOR_EVENT: Final = 0.15
@@ -103,11 +103,11 @@ class Family(NamedTuple):
     days : (k,) int64
         Vehicle-days on which they may act.
     prior : float
-        Probability beforehand that one of them is true. [1]
+        Probability beforehand that one of them is true; families of forms share `PRIOR_UNKNOWN`. [1]
     size : float
         Standard deviation of a coefficient over the upper end of its plausible range. [1]
-    either_sign : bool
-        Whether a coefficient may have either sign.
+    lowest : float
+        Smallest plausible coefficient over the largest: 0 where it cannot be negative; of no meaning for forms. [1]
     """
 
     who: str
@@ -117,7 +117,7 @@ class Family(NamedTuple):
     places: tuple[Timing, ...]
     prior: float
     size: float
-    either_sign: bool
+    lowest: float
 
     @property
     def is_unknown(self) -> bool:
@@ -127,8 +127,7 @@ class Family(NamedTuple):
     @property
     def limits(self) -> tuple[float, float]:
         """Smallest and largest plausible coefficient in standard deviations beforehand; any of a form. [1]"""
-        largest = inf if self.is_unknown else 1.0 / self.size
-        return -largest if self.either_sign else 0.0, largest
+        return (-inf, inf) if self.is_unknown else (self.lowest / self.size, 1.0 / self.size)
 
     @property
     def is_scoped(self) -> bool:
@@ -169,7 +168,8 @@ def list_families(
             continue
         effect = effects.get(name)
         prior = PRIOR_GUESSED if columns.guessed & set(effect.arguments) else PRIOR_EFFECT
-        out.append(Family(name, "all", tuple(members), everywhere, always, prior, ALWAYS_SIZE, effect.sign == 0))
+        lowest = min(effect.low, 0.0) / effect.largest
+        out.append(Family(name, "all", tuple(members), everywhere, always, prior, ALWAYS_SIZE, lowest))
     if scopes:
         declared = {columns.names[at]: at for at in range(len(columns.names)) if columns.names[at] in variants}
         out += _list_scoped(columns, declared, groups)
@@ -185,7 +185,7 @@ def list_unknown(columns: WindowColumns) -> list[Family]:
         forms.setdefault((form.term.carrier.name, form.term.variables), []).append(at)
     always = (Timing("always", np.ones(len(everywhere))),)
     return [
-        Family(UNKNOWN, "all", tuple(members), everywhere, always, PRIOR_UNKNOWN, 1.0, either_sign=True)
+        Family(UNKNOWN, "all", tuple(members), everywhere, always, PRIOR_UNKNOWN, 1.0, lowest=-1.0)
         for members in forms.values()
     ]
 
@@ -236,7 +236,7 @@ def _list_scoped(
 
 def _scope(who: str, of: Of, which: tuple[int, ...], days: Ints, places: tuple[Timing, ...], prior: float) -> Family:
     """Return a family within a scope, whose coefficients may have either sign."""
-    return Family(who, of, which, days, places, prior, SCOPED_SIZE, either_sign=True)
+    return Family(who, of, which, days, places, prior, SCOPED_SIZE, lowest=-1.0)
 
 
 def _always(days: Ints) -> tuple[Timing, ...]:

@@ -169,8 +169,7 @@ class WindowColumns:
         """Return the upper end of the plausible range of an effect, or the usual size of a form."""
         if at >= len(self.names):
             return self.unknown[at - len(self.names)].size
-        effect = effects.get(self.names[at])
-        return max(abs(effect.low), abs(effect.high))
+        return effects.get(self.names[at]).largest
 
     def sum_days(self, values: Floats) -> Floats:
         """Return the sum of values of windows over each vehicle-day."""

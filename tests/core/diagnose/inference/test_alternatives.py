@@ -21,9 +21,9 @@ def make_families(columns):
     half = Timing("always", np.full(len(of_car), 0.5))
     ramp = Timing("ramp", columns.start / columns.start.max(), columns.dates[0], columns.dates[0], 0.0)
     return [
-        Family("headwind", "all", (0,), days, (always,), 0.1, 0.5, either_sign=False),
-        Family("taxi-1", "car", (1, 2), of_car, (half,), 0.01, 0.25, either_sign=True),
-        Family("all", "all", (3,), days, (ramp,), 0.05, 0.25, either_sign=True),
+        Family("headwind", "all", (0,), days, (always,), 0.1, 0.5, lowest=0.0),
+        Family("taxi-1", "car", (1, 2), of_car, (half,), 0.01, 0.25, lowest=-1.0),
+        Family("all", "all", (3,), days, (ramp,), 0.05, 0.25, lowest=-1.0),
     ]
 
 

@@ -56,8 +56,9 @@ def test_planted_effect_is_found_where_it_is_and_nothing_else(name, effect, of, 
 
 def test_implausible_size_is_no_name():
     (first, *_) = infer_case("implausible").findings
-    assert (first.effect, first.is_sure, first.is_plausible, first.is_likely) == ("headwind", True, False, False)
-    assert first.size.nearest > first.largest == 1.6
+    assert (first.effect, first.is_supported, first.is_plausible, first.is_likely) == ("headwind", True, False, False)
+    assert first.limits == (0.0, 1.6)
+    assert first.size.estimate.interval[0] > 1.6
 
 
 @pytest.mark.parametrize("name", ["all", "car", "group"])
