@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES
+from socast.core.diagnose.records import EstimatedCoefficient, UnknownCause
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis.figures import draw_deviations
 from socast.tools.report.diagnosis.finding_words import (
@@ -16,7 +17,12 @@ from socast.tools.report.diagnosis.finding_words import (
     describe_spread,
 )
 from socast.tools.report.diagnosis.page import print_step
-from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
+from socast.tools.report.diagnosis.sentences import (
+    describe_next_step,
+    describe_suggestion,
+    describe_unknown,
+    describe_verdict,
+)
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import (
     make_deviation,
@@ -122,6 +128,23 @@ def test_change_that_no_term_holds_is_to_be_checked(changes, held):
     (line,) = describe_next_step(make_change(columns=[], **changes, **rate))
     assert line.startswith("Check taxi-005 for low tyre pressure since 2018-11-14")
     assert f"no term of a model holds {held}" in line
+
+
+def test_effect_of_implausible_size_is_told_as_a_cause_outside_the_library():
+    cause = UnknownCause(
+        formula="cold_rolling at 5.0 times its largest plausible coefficient",
+        probability=1.0,
+        energy_share=0.07,
+        energy_share_ci95=(0.05, 0.09),
+        coefficient=EstimatedCoefficient(value=0.0015, unit="1/K"),
+        resembles="cold_rolling",
+    )
+    result = make_empty_diagnosis(unknown=[cause])
+    (line,) = describe_unknown(cause)
+    assert "of the energy, like cold_rolling at 5.0 times its largest plausible coefficient; c = 0.0015" in line
+    assert "resembles" not in line
+    assert describe_suggestion(result) == []
+    assert "--suggest" not in describe_next_step(result)[0]
 
 
 def test_many_causes_are_counted():

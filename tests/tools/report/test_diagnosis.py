@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, TestedEffect, UnknownCause
+from socast.core.diagnose.records import Diagnosis, TestedEffect
 from socast.tools.commands.diagnose import insert_commands, parse_term
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
@@ -242,23 +242,6 @@ def test_deviation_leads_only_where_nothing_is_missing_in_all_cars():
     assert sentences.describe_next_step(one)[0].startswith("Test the finding")
     assert sentences.find_recommended(one) is None
     assert sentences.title_verdict(one) == "Taxi-005 changed"
-
-
-def test_effect_of_implausible_size_is_told_as_a_cause_outside_the_library():
-    cause = UnknownCause(
-        formula="cold_rolling at 5.0 times its largest plausible coefficient",
-        probability=1.0,
-        energy_share=0.07,
-        energy_share_ci95=(0.05, 0.09),
-        coefficient=EstimatedCoefficient(value=0.0015, unit="1/K"),
-        resembles="cold_rolling",
-    )
-    result = make_empty_diagnosis(unknown=[cause])
-    (line,) = sentences.describe_unknown(cause)
-    assert "of the energy, like cold_rolling at 5.0 times its largest plausible coefficient; c = 0.0015" in line
-    assert "resembles" not in line
-    assert sentences.describe_suggestion(result) == []
-    assert "--suggest" not in sentences.describe_next_step(result)[0]
 
 
 def test_uncorrelated_rival_is_not_called_indistinguishable():
