@@ -49,7 +49,9 @@ def describe(result: Verification) -> str:
         return f"{of_steps}; the difference exceeds the goal of {result.goal:.0e}: {', '.join(missed)}."
     if not compared:
         return "No step was compared: the recordings hold no state of charge and no elevation of rides."
-    return f"{of_steps}; no difference exceeds the goal of {result.goal:.0e}."
+    absent = [each.filter for each in result.filters if each.meets_goal is None]
+    rest = f" Nothing could be compared: {', '.join(absent)}." if absent else ""
+    return f"{of_steps}; no difference exceeds the goal of {result.goal:.0e}.{rest}"
 
 
 def describe_passed_over(difference: FilterDifference) -> str:

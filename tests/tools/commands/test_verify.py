@@ -5,8 +5,10 @@ import json
 import pytest
 
 from socast.stream.mcap_writer import McapSink
+from socast.tools.report.verification import describe
 from socast.tools.verify import soc_witness
 from socast.tools.verify.differences import Tallies
+from socast.tools.verify.records import GOAL, Verification
 from tests.support.commands import called, refused
 from tests.support.recorded_shift import shift
 
@@ -48,9 +50,15 @@ def test_missed_goal_is_told_with_exit_code_1(recording, monkeypatch):
     assert "exceeds the goal of 1e-09: state of charge." in out
 
 
-def test_recording_without_charge_and_elevation_meets_no_goal():
-    result = Tallies().summarise("state of charge")
-    assert (result.compared, result.mean, result.meets_goal) == (0, None, None)
+def test_filter_without_a_compared_step_is_named():
+    tallies = Tallies()
+    tallies["car"].add((1e-12, 1e-13))
+    both = [tallies.summarise("state of charge"), Tallies().summarise("elevation of rides")]
+    assert (both[1].compared, both[1].mean, both[1].meets_goal) == (0, None, None)
+    result = Verification(goal=GOAL, filters=both)
+    assert result.meets_goal
+    assert describe(result).endswith("Nothing could be compared: elevation of rides.")
+    assert not Verification(goal=GOAL, filters=both[1:]).meets_goal
 
 
 def test_recording_of_something_else_is_refused(tmp_path, capsys):
