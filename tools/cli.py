@@ -53,6 +53,9 @@ COMMANDS: Final = {
     "check": Command(
         "socast.tools.commands.check", "check", "Show what the logger of each car sends wrong, and its cost."
     ),
+    "verify": Command(
+        "socast.tools.commands.verify", "verify", "Compare the Kalman filters with filterpy's on recordings."
+    ),
     "info": Command("socast.tools.commands.info", "info", "Show what recordings contain and what is lost."),
     "anonymise": Command("socast.tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
     "spikein": Command(

@@ -1,8 +1,8 @@
 """Kalman filter and smoother of the elevation along one ride, compiled.
 
 The filter runs forward over the distance of a ride, and a Rauch-Tung-Striebel smoother runs back (AIAA J. 3 (1965)
-1445, DOI 10.2514/3.3166). filterpy's filter and smoother are the reference in the tests; this compiled code serves
-whole fleets.
+1445, DOI 10.2514/3.3166). filterpy's filter and smoother are the reference in the tests and in `socast verify`; this
+compiled code serves whole fleets.
 
 The state has the height of the road and its slope. White noise drives the slope, which returns to level over `LENGTH`;
 the density of the noise is the roughness of the terrain. A car that stands covers no distance: its state does not
@@ -23,7 +23,7 @@ fixes has changed, and a new segment begins. Segments are smoothed apart, and th
 climb. A segment with fewer fixes than contradict it is none, and its fixes are not used.
 """
 
-from math import exp, inf, isnan, log, nan
+from math import exp, expm1, inf, isnan, log, nan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -53,9 +53,6 @@ GROUND_LENGTH: Final = 90.0
 MOVED: Final = 1.0
 """Distance below which the map says nothing new. [m]"""
 
-SHORT: Final = 1e-3
-"""Ratio of a step to `LENGTH` below which the noise of the step is that of doubly integrated white noise. [1]"""
-
 ESTIMATE: Final = np.dtype(
     [
         *((name, "f8") for name in ("height", "slope", "var_height", "covariance", "var_slope")),
@@ -68,10 +65,6 @@ UNUSED: Final = -1
 NOTHING: Final = 0
 USED: Final = 1
 """What became of the readings of a row."""
-
-
-UNIT_NOISE: Final[Floats] = np.array([[1.0 / 3.0, 1.0 / 2.0], [1.0 / 2.0, 1.0]])
-"""Process noise of height and slope over a step of 1 m, where the slope takes up white noise of unit density."""
 
 
 class RideSteps(NamedTuple):
@@ -95,9 +88,7 @@ class RideSteps(NamedTuple):
 
 
 @njit(cache=False)
-def filter_ride(
-    ride: Any, noise: tuple[float, float, float], unit: Any, predicted: Any, updated: Any, begins: Any
-) -> float:
+def filter_ride(ride: Any, noise: tuple[float, float, float], predicted: Any, updated: Any, begins: Any) -> float:
     """Run the filter over a ride; return minus twice the logarithm of the likelihood, but for a constant.
 
     Parameters
@@ -119,13 +110,17 @@ def filter_ride(
             begin_segment(now)
             rejected = 0
         elif ride.distance[i] > 0.0:
-            predict(now, ride.distance[i], noise[0], unit)
+            predict(now, ride.distance[i], noise[0])
         now.since_fix += ride.distance[i]
         now.since_ground += ride.distance[i]
         now.time_since_fix += ride.time[i]
+        fix = ride.fix[i] if i >= wrong_before else nan
+        if isnan(now.last_fix) and isnan(now.last_ground) and not (isnan(fix) and isnan(ride.ground[i])):
+            now.height = fix if isnan(ride.ground[i]) else ride.ground[i]
+            store_height(now.height, begin, i, predicted, updated)
         store(predicted, i, now)
         store(begins, i, i == begin)
-        loss, outcome = take_row(now, ride.fix[i] if i >= wrong_before else nan, ride, i, noise, GATE)
+        loss, outcome = take_row(now, fix, ride, i, noise, GATE)
         cost += loss
         if outcome == USED:
             rejected = 0
@@ -159,6 +154,14 @@ def forget_stand(ride: Any, i: int, now: Any, predicted: Any, updated: Any) -> N
 
 
 @njit(cache=False)
+def store_height(height: float, begin: int, end: int, predicted: Any, updated: Any) -> None:
+    """Let the rows of a segment before its first reading have the height of that reading. [m]"""
+    if predicted.shape[0] > 0:
+        for i in range(begin, end):
+            predicted[i].height = updated[i].height = height
+
+
+@njit(cache=False)
 def store(column: Any, i: int, value: Any) -> None:
     """Set a row of a column, which may be empty."""
     if column.shape[0] > 0:
@@ -175,8 +178,6 @@ def take_row(
     """
     _, sd, correlation_time = noise
     ground, cost, outcome = ride.ground[i], 0.0, NOTHING
-    if isnan(now.last_fix) and isnan(now.last_ground) and not (isnan(fix) and isnan(ground)):
-        now.height = fix if isnan(ground) else ground
     if not isnan(ground) and (isnan(now.last_ground) or now.since_ground >= MOVED):
         related = 0.0 if isnan(now.last_ground) else exp(-now.since_ground / GROUND_LENGTH)
         variance = ride.ground_variance[i]
@@ -245,12 +246,12 @@ def forget_slope(now: Any, distance: float) -> None:
 @njit(cache=False)
 def describe_step(distance: float) -> tuple[float, float]:
     """Return the height that a step gains per unit of slope [m], and the share of the slope that remains [1]."""
-    keep = exp(-distance / LENGTH)
-    return LENGTH * (1.0 - keep), keep
+    lost = -expm1(-distance / LENGTH)
+    return LENGTH * lost, 1.0 - lost
 
 
 @njit(cache=False)
-def predict(now: Any, distance: float, roughness: float, unit: Any) -> None:
+def predict(now: Any, distance: float, roughness: float) -> None:
     """Advance an estimate by a step of the given distance. [m]"""
     run, keep = describe_step(distance)
     now.height += run * now.slope
@@ -258,16 +259,10 @@ def predict(now: Any, distance: float, roughness: float, unit: Any) -> None:
     now.var_height += 2.0 * run * now.covariance + run * run * now.var_slope
     now.covariance = keep * (now.covariance + run * now.var_slope)
     now.var_slope *= keep * keep
-    ratio = distance / LENGTH
-    if ratio < SHORT:
-        now.var_height += roughness * unit[0, 0] * distance**3
-        now.covariance += roughness * unit[0, 1] * distance**2
-        now.var_slope += roughness * unit[1, 1] * distance
-    else:
-        variance = 0.5 * roughness * LENGTH
-        now.var_height += variance * LENGTH**2 * (2.0 * ratio - 3.0 + 4.0 * keep - keep * keep)
-        now.covariance += variance * LENGTH * (1.0 - keep) ** 2
-        now.var_slope += variance * (1.0 - keep * keep)
+    ratio, lost, variance = distance / LENGTH, run / LENGTH, 0.5 * roughness * LENGTH
+    now.var_height += variance * LENGTH**2 * (2.0 * (ratio - lost) - lost * lost)
+    now.covariance += variance * LENGTH * lost * lost
+    now.var_slope += variance * lost * (2.0 - lost)
 
 
 @njit(cache=False)
@@ -297,13 +292,14 @@ def update(now: Any, value: float, of_height: float, of_slope: float, variance: 
 def smooth_back(distance: Any, begins: Any, predicted: Any, updated: Any) -> None:
     """Replace the estimates after each fix by those from all fixes of its segment.
 
-    Over a stand the state does not change, so that its rows have the estimate of the row after it.
+    Over a stand the state does not change, so that its rows have the estimate of the row after it, unless the slope was
+    forgotten there.
     """
     for i in range(distance.shape[0] - 2, -1, -1):
         if begins[i + 1]:
             continue
         after, ahead, now = updated[i + 1], predicted[i + 1], updated[i]
-        if distance[i + 1] <= 0.0:
+        if distance[i + 1] <= 0.0 and ahead.var_slope == now.var_slope:
             updated[i] = after
             continue
         run, keep = describe_step(distance[i + 1])

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from socast.core.batch import Ints
+from socast.core.batch import Floats, Ints
 from socast.core.cleaning import elevation, elevation_filter
 from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.clock import SIGMA
@@ -33,7 +33,6 @@ from socast.core.cleaning.elevation import (
 )
 from socast.core.cleaning.elevation_filter import (
     ESTIMATE,
-    UNIT_NOISE,
     RideSteps,
     describe_step,
     filter_ride,
@@ -81,18 +80,23 @@ def smooth_elevation(clean: Clean, longest: int = LONGEST_PIECE) -> Clean:
     Clean
         The rows with other `elevation` and `climb`; idle periods, and rides without a fix or map, keep theirs.
     """
+    order, steps, edges = cut_rides(clean, longest)
+    elevation, climb = clean.elevation.copy(), clean.climb.copy()
+    heights, climbs = elevation[order], climb[order]
+    smooth_rides(steps, edges, heights, climbs)
+    elevation[order], climb[order] = heights, climbs
+    return clean._replace(elevation=elevation, climb=climb)
+
+
+def cut_rides(clean: Clean, longest: int = LONGEST_PIECE) -> tuple[Ints, Floats, Ints]:
+    """Return the places of the rows of rides, car by car, the steps to them, (5, n), and the edges of the pieces."""
     riding = np.flatnonzero(clean.ride >= 0)
     order = riding[np.argsort(clean.lane[riding], kind="stable")]
     lane, ride = clean.lane[order], clean.ride[order]
     is_first = (np.diff(lane, prepend=-1) != 0) | (np.diff(ride, prepend=-1) != 0)
     begins = np.flatnonzero(is_first | (number_rows(np.cumsum(is_first)) % longest == 0))
-    elevation, climb = clean.elevation.copy(), clean.climb.copy()
-    heights, climbs = elevation[order], climb[order]
     columns = clean.distance, clean.dt, clean.elevation_fix, clean.ground, clean.ground_variance
-    steps = np.stack([column[order] for column in columns])
-    smooth_rides(steps, np.append(begins, len(order)), UNIT_NOISE, heights, climbs)
-    elevation[order], climb[order] = heights, climbs
-    return clean._replace(elevation=elevation, climb=climb)
+    return order, np.stack([column[order] for column in columns]), np.append(begins, len(order))
 
 
 def number_rows(group: Ints) -> Ints:
@@ -121,27 +125,23 @@ def smooth_ride(steps: RideSteps, noise: tuple[float, float, float]) -> NDArray[
     """
     predicted, updated = np.zeros((2, len(steps.fix)), ESTIMATE)
     begins = np.zeros(len(steps.fix), np.bool_)
-    filter_ride(steps, noise, UNIT_NOISE, predicted, updated, begins)
+    filter_ride(steps, noise, predicted, updated, begins)
     smooth_back(steps.distance, begins, predicted, updated)
     return updated
 
 
 @njit(cache=True)
-def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -> None:
+def smooth_rides(steps: Any, edges: Any, heights: Any, climbs: Any) -> None:
     """Replace heights and climbs of all rides with a fix or a map by their smoothed values."""
     for i in range(len(edges) - 1):
         begin, end = edges[i], edges[i + 1]
-        fix, ground = steps[2, begin:end], steps[3, begin:end]
-        if np.isnan(fix).all() and np.isnan(ground).all():
+        if np.isnan(steps[2, begin:end]).all() and np.isnan(steps[3, begin:end]).all():
             continue
-        offset, variance = find_offset(fix, ground)
-        distance, time = steps[0, begin:end], steps[1, begin:end]
-        fix = reject_slopes(distance, fix)
-        ride = RideSteps(distance, time, fix - offset, ground, steps[4, begin:end] + variance)
-        noise = find_noise(ride, unit)
+        ride = prepare_ride(steps, begin, end)
+        distance, noise = ride.distance, find_noise(ride)
         predicted, updated = np.zeros(end - begin, ESTIMATE), np.zeros(end - begin, ESTIMATE)
         begins = np.zeros(end - begin, np.bool_)
-        filter_ride(ride, noise, unit, predicted, updated, begins)
+        filter_ride(ride, noise, predicted, updated, begins)
         smooth_back(distance, begins, predicted, updated)
         for j in range(end - begin):
             heights[begin + j] = updated[j].height
@@ -149,6 +149,15 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
                 climbs[begin + j] = describe_step(distance[j])[0] * updated[j].slope
             else:
                 climbs[begin + j] = updated[j].height - updated[j - 1].height
+
+
+@njit(cache=True)
+def prepare_ride(steps: Any, begin: int, end: int) -> Any:
+    """Return the `RideSteps` of some of the rows of `cut_rides`, with fixes less their offset to the map."""
+    distance, time, ground = steps[0, begin:end], steps[1, begin:end], steps[3, begin:end]
+    offset, variance = find_offset(steps[2, begin:end], ground)
+    fix = reject_slopes(distance, steps[2, begin:end])
+    return RideSteps(distance, time, fix - offset, ground, steps[4, begin:end] + variance)
 
 
 @njit(cache=True)
@@ -188,7 +197,7 @@ def find_offset(fix: Any, ground: Any) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def find_noise(ride: Any, unit: Any) -> tuple[float, float, float]:
+def find_noise(ride: Any) -> tuple[float, float, float]:
     """Return roughness, standard deviation and correlation time of the greatest likelihood times prior.
 
     The search follows one parameter after the other, in steps from the usual values.
@@ -197,7 +206,7 @@ def find_noise(ride: Any, unit: Any) -> tuple[float, float, float]:
     sd = find_difference(ride.fix)
     place = np.zeros(3)
     best = compute_prior_cost(place)
-    best += filter_ride(ride, make_noise(place, sd), unit, nowhere, nowhere, begins)
+    best += filter_ride(ride, make_noise(place, sd), nowhere, nowhere, begins)
     for _ in range(SWEEPS):
         before = best
         for axis in range(3):
@@ -205,7 +214,7 @@ def find_noise(ride: Any, unit: Any) -> tuple[float, float, float]:
                 while abs(place[axis]) < MOST_STEPS:
                     place[axis] += direction
                     cost = compute_prior_cost(place)
-                    cost += filter_ride(ride, make_noise(place, sd), unit, nowhere, nowhere, begins)
+                    cost += filter_ride(ride, make_noise(place, sd), nowhere, nowhere, begins)
                     if cost >= best:
                         place[axis] -= direction
                         break
@@ -245,5 +254,5 @@ def find_difference(fix: Any) -> float:
     return max(ROUNDING, np.median(differences[:count])) if count > 0 else ROUNDING
 
 
-for _function in (smooth_rides, find_noise, reject_slopes):
+for _function in (smooth_rides, prepare_ride, find_noise, reject_slopes):
     watch_sources(_function, elevation_filter, elevation)

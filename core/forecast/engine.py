@@ -6,7 +6,7 @@ messages are cut into batches, nor on which other cars sent samples a moment ear
 """
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
 from math import inf
 from operator import attrgetter
@@ -93,6 +93,8 @@ class ForecastEngine:
     state : (lanes,) FILTER_STATE
     newest : (lanes,) NEWEST_FORECAST
         Newest forecast of each lane, NaN before the first one.
+    filter_events : callable
+        Function that runs the filters over events; `socast verify` listens here.
     """
 
     def __init__(self, context: RunContext) -> None:
@@ -100,6 +102,7 @@ class ForecastEngine:
         self.statistics = FleetStatistics(context)
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
+        self.filter_events: Callable[..., int] = filter_events
         self.newest = np.zeros(0, NEWEST_FORECAST)
         self.closed: list[NDArray[np.void]] = []
 
@@ -113,7 +116,7 @@ class ForecastEngine:
         closed = len(sums.rides.lane) + len(sums.idle_periods.lane)
         events, at, order = self._build_events(whole, closed, due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
-        shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
+        shifts = shifts[: self.filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
         if closed:
             begin = np.empty(len(events))
             begin[order] = estimates["begin"]

@@ -54,11 +54,14 @@ class DeferredRows:
         Number of messages in all batches before the present one.
     totals : DeferredTotals
         Totals of released rows, which wait for rows that are kept.
+    smooth_elevation : callable
+        Function that smooths the elevation of released rows; `socast verify` listens here.
     """
 
     def __init__(self, least: int = LEAST, longest: int = LONGEST_PIECE) -> None:
         self.least, self.longest = least, longest
         self.totals = DeferredTotals()
+        self.smooth_elevation: Callable[[Clean, int], Clean] = smooth_elevation
         self._parts: list[Floats] = []
         self._ends: NDArray[np.void] = NO_ENDS  # of rides whose rows are kept; `place` is that among all messages
         self.messages = 0
@@ -151,7 +154,7 @@ class DeferredRows:
         clean = Clean(*table[:size])
         clean = clean._replace(**{name: getattr(clean, name).astype(np.int64) for name in WHOLE})
         clean = smooth_motion(clean._replace(due=np.zeros(table.shape[1], np.bool_)), self.longest)
-        clean = smooth_elevation(clean, self.longest)
+        clean = self.smooth_elevation(clean, self.longest)
         kind, place = table[-2:].astype(np.int64)
         ends, self._ends = self._ends, NO_ENDS
         ends["row"] = np.searchsorted(place, ends["place"], side="right")

@@ -144,11 +144,3 @@ def count_faults(events):
 def compute_coverage(estimate, variance, truth):
     """Return the share of truths inside the 90 % interval."""
     return np.mean(np.abs(estimate - truth) < WITHIN * np.sqrt(variance))
-
-
-def get_covariance(state):
-    """Return the covariance matrix of charge, consumption and capacity of the first car."""
-    s = state[0]
-    return np.array(
-        [[s["p_ss"], s["p_sa"], s["p_sc"]], [s["p_sa"], s["p_aa"], s["p_ac"]], [s["p_sc"], s["p_ac"], s["p_cc"]]]
-    )

@@ -46,6 +46,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "spikein-score": 1,
     "tables": 1,
     "vehicles": 1,
+    "verify": 1,
     "waterfall": 1,
 }
 """Name -> format version of each JSON report.

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from filterpy.common import Q_continuous_white_noise, van_loan_discretization
-from filterpy.kalman import KalmanFilter
 
-from socast.core.cleaning.elevation_filter import FAR, LENGTH, STEEP, UNIT_NOISE, RideSteps
+from socast.core.cleaning.elevation_filter import LENGTH, RideSteps
 from socast.core.cleaning.elevation_smoother import (
     CORRELATION_TIME,
     ROUGHNESS,
@@ -14,6 +12,10 @@ from socast.core.cleaning.elevation_smoother import (
     smooth_ride,
     smooth_rides,
 )
+from socast.tools.verify.differences import measure_differences
+from socast.tools.verify.elevation_steps import get_estimates
+from socast.tools.verify.elevation_witness import smooth_with_filterpy
+from socast.tools.verify.records import GOAL
 from tests.support.telemetry import PERIOD, cleaned, drive, joined, picked
 
 WHITE = 1e-9
@@ -48,39 +50,6 @@ def compute_rms(values):
 # Against filterpy
 
 
-def test_unit_noise_is_that_of_filterpy():
-    np.testing.assert_array_equal(UNIT_NOISE, Q_continuous_white_noise(2, dt=1.0, spectral_density=1.0))
-
-
-def run_filterpy(distance, time, fix, noise):
-    """Return heights, slopes and covariances by filterpy's filter and smoother."""
-    roughness, sd, correlation_time = noise
-    force = np.array([[0.0], [np.sqrt(roughness)]])
-    steps = [van_loan_discretization(np.array([[0.0, 1.0], [0.0, -1.0 / LENGTH]]), force, d) for d in distance]
-    transitions = [
-        np.eye(2) if d == 0.0 or i == 0 else f for i, (d, (f, _)) in enumerate(zip(distance, steps, strict=True))
-    ]
-    noises = [
-        np.zeros((2, 2)) if d == 0.0 or i == 0 else q for i, (d, (_, q)) in enumerate(zip(distance, steps, strict=True))
-    ]
-    values, readings, variances, last, run, age = [], [], [], None, 0.0, 0.0
-    for d, t, z in zip(distance, time, fix, strict=True):
-        run, age = run + d, age + t
-        is_near = last is not None and age > 0.0 and run <= LENGTH
-        related = np.exp(-age / correlation_time) if is_near else 0.0
-        values.append(None if np.isnan(z) else z - related * (last or 0.0))
-        readings.append(np.array([[1.0 - related, related * run]]))
-        variances.append(np.array([[sd**2 * (1.0 - related**2)]]))
-        if not np.isnan(z):
-            last, run, age = z, 0.0, 0.0
-    kalman = KalmanFilter(dim_x=2, dim_z=1)
-    kalman.x = np.array([[fix[~np.isnan(fix)][0]], [0.0]])
-    kalman.P = np.diag([FAR**2, STEEP**2])
-    means, covariances, _, _ = kalman.batch_filter(values, Fs=transitions, Qs=noises, Hs=readings, Rs=variances)
-    means, covariances, _, _ = kalman.rts_smoother(means, covariances, transitions, noises)
-    return means[:, 0, 0], means[:, 1, 0], covariances
-
-
 @pytest.mark.parametrize(("seed", "missing"), [(1, 0.0), (2, 0.3), (3, 0.8)])
 @pytest.mark.parametrize("correlation_time", [WHITE, 4.0, 20.0])
 def test_smoother_equals_filterpy(seed, missing, correlation_time):
@@ -93,12 +62,8 @@ def test_smoother_equals_filterpy(seed, missing, correlation_time):
     fix[1:][rng.random(n - 1) < missing] = np.nan
     noise = (1e-5, 6.0, correlation_time)  # no fix is beyond the gate
     smoothed = smooth_ride(make_steps(distance, time, fix), noise)
-    height, slope, covariance = run_filterpy(distance, time, fix, noise)
-    np.testing.assert_allclose(smoothed["height"], height, atol=1e-4)
-    np.testing.assert_allclose(smoothed["slope"], slope, atol=1e-6)
-    np.testing.assert_allclose(smoothed["var_height"], covariance[:, 0, 0], rtol=1e-4)
-    np.testing.assert_allclose(smoothed["covariance"], covariance[:, 0, 1], rtol=1e-3, atol=1e-7)
-    np.testing.assert_allclose(smoothed["var_slope"], covariance[:, 1, 1], rtol=1e-4)
+    exact = smooth_with_filterpy(make_steps(distance, time, fix), noise)
+    assert max(measure_differences(*get_estimates(smoothed), *exact)) < GOAL
 
 
 # Maps
@@ -124,7 +89,7 @@ def map_steps(n=400, coarse=4, ground_sd=3.0, sd=3.0, seed=1):
 def smooth_whole(steps):
     """Return the smoothed climbs of a ride."""
     heights, climbs = np.zeros((2, len(steps.fix)))
-    smooth_rides(np.stack(steps), np.array([0, len(steps.fix)]), UNIT_NOISE, heights, climbs)
+    smooth_rides(np.stack(steps), np.array([0, len(steps.fix)]), heights, climbs)
     return climbs
 
 
@@ -182,7 +147,7 @@ def test_noise_of_the_fixes_is_recovered():
     estimates = []
     for seed in range(8):
         clean = cleaned(ride(600, seed)[0])
-        noise = find_noise(get_steps(clean), UNIT_NOISE)
+        noise = find_noise(get_steps(clean))
         estimates.append(noise[1:])
     sd, correlation_time = np.median(estimates, axis=0)
     assert sd == pytest.approx(2.0, rel=0.3)
@@ -192,7 +157,7 @@ def test_noise_of_the_fixes_is_recovered():
 def test_rough_terrain_has_a_larger_roughness_than_level_ground():
     def roughness(columns):
         clean = cleaned(columns)
-        return find_noise(get_steps(clean), UNIT_NOISE)[0]
+        return find_noise(get_steps(clean))[0]
 
     hills, truth = ride(600)
     level = hills | {"elevation_m": hills["elevation_m"] - truth + 60.0}
@@ -202,7 +167,7 @@ def test_rough_terrain_has_a_larger_roughness_than_level_ground():
 def test_ride_with_few_fixes_has_the_usual_noise():
     fix = np.full(20, np.nan)
     fix[[3, 15]] = 40.0, 41.0
-    noise = find_noise(make_steps(np.full(20, 30.0), np.full(20, PERIOD), fix), UNIT_NOISE)
+    noise = find_noise(make_steps(np.full(20, 30.0), np.full(20, PERIOD), fix))
     assert noise[0] == pytest.approx(ROUGHNESS, rel=10.0)
     assert noise[2] == pytest.approx(CORRELATION_TIME, rel=2.0)
 
@@ -347,7 +312,7 @@ def test_first_climb_follows_a_slope_that_returns_to_level():
     steps[0, 0] = 2.0 * LENGTH  # a bridged tunnel before the first row
     steps[2] = 50.0 + 0.04 * np.cumsum(np.full(60, 30.0))
     heights, climbs = np.zeros((2, 60))
-    smooth_rides(steps, np.array([0, 60]), UNIT_NOISE, heights, climbs)
+    smooth_rides(steps, np.array([0, 60]), heights, climbs)
     slope = (heights[1] - heights[0]) / 30.0
     assert climbs[0] == pytest.approx(slope * LENGTH * (1.0 - np.exp(-2.0)), rel=0.1)
 

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from socast.core.forecast import filter_state, soc_filter, soc_reading
+from socast.core.forecast import filter_state, soc_filter
+from socast.tools.verify.differences import measure_differences
+from socast.tools.verify.records import GOAL
+from socast.tools.verify.soc_witness import SocWitness, Stretch, get_covariance, get_mean
 from tests.support.soc_shifts import (
     BEGIN,
     CAPACITY,
@@ -14,7 +16,6 @@ from tests.support.soc_shifts import (
     PRIOR,
     STEP,
     compute_coverage,
-    get_covariance,
     name_driver,
     noise,
     run_filter,
@@ -32,62 +33,6 @@ KNOWN = (
 )
 
 
-class Oracle:
-    """The same filter by filterpy, linearised at the beginning of the shift."""
-
-    def __init__(self, state):
-        self.scale, self.size = state["usual"][0], state["begin_log_capacity"][0]
-        self.kf = KalmanFilter(dim_x=3, dim_z=1)
-        self.kf.x = np.array([[state["soc"][0]], [state["log_consumption"][0]], [state["log_capacity"][0]]])
-        self.kf.P = get_covariance(state)
-        self.fall = 0.0
-        self.predicted = self.used = 0.0
-
-    def predict(self, predicted, used, noise):
-        """Predict the state by the measured energy [kWh], or by the predicted energy where that is NaN."""
-        (_, a, c), kf = self.kf.x[:, 0], self.kf
-        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.CONSUMPTION_WANDER**2 * STEP / 3600.0, 0.0]))
-        fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
-        slope = np.exp(self.scale) * predicted / CAPACITY
-        if np.isfinite(used):
-            self.predicted, self.used = self.predicted + predicted, self.used + used
-            if self.predicted >= soc_filter.COMPARED_ENERGY:
-                self.compare(noise + soc_filter.METER_SAMPLING_SD**2)
-            fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
-            slope, blur = (
-                used / (CAPACITY * np.exp(self.size)),
-                soc_filter.METER_SAMPLING_SD**2 * abs(used) / CAPACITY**2,
-            )
-        self.fall += slope
-        along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-        shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
-        kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
-
-    def compare(self, variance):
-        """Update by the measured energy of a stretch, with the variance of its residual over its energy. [kWh]"""
-        kf, predicted, used = self.kf, self.predicted, self.used
-        seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
-        kf.update(used - np.exp(kf.x[1, 0]) * predicted + seen @ kf.x, variance * predicted, seen)
-        self.predicted = self.used = 0.0
-
-    def update_with_step(self, before, reported, quantum):
-        """Update by a step from one reported value to another."""
-        beyond = max(abs(reported - before) - abs(self.fall) - quantum, 0.0)
-        sign, at, variance = np.sign(before - reported), reported, quantum**2 / 12.0 + beyond**2 / 4.0
-        if abs(reported - before) < 1.5 * quantum:  # somewhere between the boundary and what was used since
-            since = min(max(sign * self.fall, 0.0), quantum)
-            at = reported + sign * 0.5 * (quantum - since)
-            variance = (0.1 * quantum) ** 2 + since**2 / 12.0
-        before = self.kf.P
-        self.kf.update(at, variance + soc_reading.READING_SD**2, np.array([[1.0, 0.0, 0.0]]))
-        if beyond > abs(self.fall) + quantum:  # not trusted: the covariance stays
-            self.kf.P = before
-
-    def note_reading(self):
-        """Note that a charge was reported."""
-        self.fall = 0.0
-
-
 @given(
     seed=st.integers(0, 10_000),
     quantum=st.sampled_from(QUANTA),
@@ -103,21 +48,19 @@ def test_filter_equals_filterpy(seed, quantum, share, a):
     events["metered"] = np.r_[0.0, np.nan_to_num(used).cumsum()]
     events["meter_time"] = STEP * np.r_[0.0, np.isfinite(used).cumsum()]
     state = run_filter(events[:1]).state
-    oracle, steps = Oracle(state), 0
+    witness, steps = SocWitness(state[0]), 0
     for i in range(1, len(events)):
         before = state.copy()
         state = run_filter(events[i : i + 1], before).state
-        oracle.predict(predicted[i - 1], used[i - 1], noise(STEP * i))
+        witness.predict(Stretch(predicted[i - 1], used[i - 1], STEP, CAPACITY, noise(STEP * i)))
         assume(np.isnan(state["suspect"][0]))
         if state["reported"][0] != before["reported"][0]:
             steps += 1
-            oracle.update_with_step(before["reported"][0], events["soc"][i], quantum)
-        oracle.note_reading()
+            witness.update_with_step(before["reported"][0], events["soc"][i], quantum)
+        witness.note_reading()
     assert steps > 0
-    assert [state[name][0] for name in ("soc", "log_consumption", "log_capacity")] == pytest.approx(
-        oracle.kf.x[:, 0].tolist(), rel=1e-9, abs=1e-12
-    )
-    assert get_covariance(state) == pytest.approx(oracle.kf.P, rel=1e-7, abs=1e-14)
+    found = get_mean(state[0]), get_covariance(state[0])
+    assert max(measure_differences(*found, witness.mean, witness.covariance)) < GOAL
 
 
 @given(parts, st.integers(1, 200))
@@ -163,7 +106,7 @@ def test_two_drivers_never_reduce_variance_below_that_of_one(metered, seed, one,
     both = run_filter(np.r_[name_driver(1, 0.0, one[1]), events[:at], name_driver(2, 0.0, other[1]), events[at:]])
     alone = run_filter(np.r_[name_driver(2, 0.0, other[1]), events])
     assert both.at("log_factor_variance")[0, -1] >= (1.0 - 1e-9) * alone.at("log_factor_variance")[0, -1]
-    assert np.linalg.eigvalsh(get_covariance(both.state)).min() > 0.0
+    assert np.linalg.eigvalsh(get_covariance(both.state[0])).min() > 0.0
     ended = run_filter(shift(1, 0.1, 0.01, begin=BEGIN + NIGHT)[0], both.state).shifts
     assert ended["driver"].tolist() == [-1.0]
 

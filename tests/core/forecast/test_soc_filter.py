@@ -8,6 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from socast.core.forecast import filter_state, outlook, soc_filter, soc_reading
+from socast.tools.verify.soc_witness import get_covariance
 from tests.support.soc_shifts import (
     BEGIN,
     CAPACITY,
@@ -16,7 +17,6 @@ from tests.support.soc_shifts import (
     STEP,
     compute_coverage,
     count_faults,
-    get_covariance,
     run_filter,
     shift,
 )
@@ -284,7 +284,7 @@ def test_covariance_stays_positive_and_soc_finite_for_any_events(drawn, quantum)
     known = np.isfinite(result.at("soc")[0])
     assert np.isfinite(result.at("variance")[0][known]).all()
     assert np.isfinite(result.at("log_factor")).all()
-    spread = get_covariance(result.state)
+    spread = get_covariance(result.state[0])
     if known[-1]:
         assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
     assert spread[2, 2] <= filter_state.CAPACITY_SD**2 * (1.0 + 1e-12)
