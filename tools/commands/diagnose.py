@@ -33,6 +33,7 @@ from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.night_watch import read_findings, show_changes, write_findings
 from socast.tools.terminal.output import (
+    EventsFile,
     HtmlFile,
     JsonFile,
     make_console,
@@ -88,10 +89,7 @@ def diagnose_rides(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
     ] = None,
-    events: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Known events that may have changed a car: columns date,vehicle_id."),
-    ] = None,
+    events: EventsFile = None,
     since: Annotated[
         str | None, typer.Option(metavar="DATE", help="Diagnose only rides from this UTC date on, such as 2018-11-01.")
     ] = None,
