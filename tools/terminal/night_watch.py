@@ -11,8 +11,10 @@ from typing import Any, Final
 
 import msgspec
 import pandas as pd
+from msgspec.structs import replace
 from rich.console import Console
 
+from socast.core.condition.records import CarCondition, Trend
 from socast.core.diagnose.findings import list_changes
 from socast.core.errors import SettingsError, read_input
 from socast.core.fit.ride_blocks import get_names
@@ -119,8 +121,17 @@ def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel) -> int:
     first = date.fromisoformat(max(dates, default=date.max.isoformat())) - timedelta(days=MOST_DATES - 1)
     found = assess_condition(rides.loc[[day >= first.isoformat() for day in dates]], model)
     page.write_report(condition.build_report(found), path.with_suffix(PAGE))
-    write_json(path, "condition", found.to_json())
+    write_json(path, "condition", replace(found, cars=list(map(_forget_days, found.cars))).to_json())
     return len(found.cars)
+
+
+def _forget_days(car: CarCondition) -> CarCondition:
+    """Return a car without the values of single days, so that the loop reads the file of a large fleet at once."""
+
+    def forget(trend: Trend | None) -> Trend | None:
+        return trend and replace(trend, dates=[], measured_pct=[], path_pct=[], path_sd_pct=[])
+
+    return replace(car, consumption=forget(car.consumption), capacity=forget(car.capacity))
 
 
 def read_condition(path: Path) -> NightlyCondition | None:

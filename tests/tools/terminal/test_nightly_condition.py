@@ -30,6 +30,7 @@ def test_written_levels_are_read_again(rides, tmp_path):
     assert "Condition of the cars" in page.read_text(encoding="utf-8")
     known = read_condition(data)
     cars = {car["vehicle_id"]: car for car in json.loads(data.read_text())["cars"]}
+    assert not any(car["consumption"]["dates"] for car in cars.values())
     assert known.assessed_s == data.stat().st_mtime
     assert set(known.cars) == set(cars)
     for name, level in known.cars.items():
