@@ -17,6 +17,7 @@ from socast.core.condition.car_days import gather_car_days as _gather
 from socast.core.condition.energy_split import EnergySplit
 from socast.core.condition.energy_split import split_energy as _split
 from socast.core.condition.records import FleetCondition
+from socast.core.diagnose.inference.events import read_events as _read_events
 from socast.core.evaluate.compare import models as _models
 from socast.core.evaluate.compare import ride_trace as _ride_trace
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
@@ -224,7 +225,7 @@ def split_energy(
     return _split(rides, model, by=by, price=price)
 
 
-def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
+def assess_condition(rides: pd.DataFrame, model: LinearModel, *, events: str | Path | None = None) -> FleetCondition:
     """Return how each car is doing: its consumption beside its siblings, its usable capacity, and since when.
 
     Parameters
@@ -233,6 +234,9 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
         A ride table of at least six dates.
     model : LinearModel
         The model that predicts the consumption.
+    events : path, optional
+        CSV file of repairs, tyre changes and the like: `date`, the first UTC date after the event, `vehicle_id`, empty
+        for all cars, and `what` happened. Each is placed beside the sudden changes of its car, and alters nothing.
 
     Returns
     -------
@@ -242,7 +246,8 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
     Raises
     ------
     ModelError
-        Where no ride is fit for training, measured and predicted, and where the dates are fewer than six.
+        Where no ride is fit for training, measured and predicted, where the dates are fewer than six, and where the
+        file of events cannot be read.
 
     Examples
     --------
@@ -252,7 +257,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
     >>> sorted(condition.table["vehicle_id"])
     ['taxi-001', 'taxi-002', 'taxi-003', 'taxi-004', 'taxi-005']
     """
-    return _assess(rides, model)
+    return _assess(rides, model, _read_events(Path(events)) if events else ())
 
 
 def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]) -> RideTrace:

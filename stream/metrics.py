@@ -123,7 +123,11 @@ def _read_values(row: MetricRow, snapshot: ServiceSnapshot, now: float) -> Mappi
     if row.labels == ("vehicle",):
         cars = snapshot.of_vehicles
         found = getattr(cars, row.field, None)
-        value = None if cars is None or found is None else dict(zip(cars.names, found, strict=True))
+        value = (
+            None
+            if cars is None or found is None
+            else {name: each for name, each in zip(cars.names, found, strict=True) if each is not None}
+        )
     else:
         value = getattr(snapshot, row.field)
     if row.field == "publishes":  # None where it always does

@@ -1,14 +1,14 @@
 """Start a diagnosis after each daily update, beside the loop, and publish and log what changed when it has ended.
 
-The diagnosis is a process of its own. The loop only asks whether it has ended, so that nothing delays or alters
-forecasts.
+The diagnosis is a process of its own, which assesses the condition of the cars first; their levels become metrics. The
+loop only asks whether it has ended, so that nothing delays or alters forecasts.
 """
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from socast.core.diagnose.findings import list_changes, make_finding_message
 from socast.core.errors import SocastError
@@ -32,6 +32,23 @@ class Job(Protocol):
         """End the job if it runs, and free what it holds."""
 
 
+class CarLevel(NamedTuple):
+    """Hold the consumption of a car over what is expected [1], and its usable capacity [kWh]; None where unknown."""
+
+    consumption_ratio: float | None
+    usable_kwh: float | None
+
+
+UNKNOWN_LEVEL: Final = CarLevel(None, None)
+
+
+class NightlyCondition(NamedTuple):
+    """Hold when the condition of the cars was assessed [Unix s], and the levels of each car."""
+
+    assessed_s: float
+    cars: Mapping[str, CarLevel]
+
+
 class NightlyDiagnosis:
     """Diagnose once a day, as a watch of the loop.
 
@@ -51,6 +68,13 @@ class NightlyDiagnosis:
         Chunks before `findings` in the keys, with a slash at the end.
     clock : callable
         Monotonic time. [s]
+    read_condition : callable
+        Function that returns the condition of the cars after the last diagnosis, None before the first one.
+
+    Attributes
+    ----------
+    condition : NightlyCondition, optional
+        The last one that could be read.
     """
 
     def __init__(
@@ -62,12 +86,16 @@ class NightlyDiagnosis:
         describe: Callable[[Finding], dict[str, Any]],
         prefix: str = "",
         clock: Callable[[], float] = time.monotonic,
+        read_condition: Callable[[], NightlyCondition | None] = lambda: None,
     ) -> None:
         self._get_midnight, self._start, self._read, self._describe = get_midnight, start, read, describe
         self._sink, self._prefix, self._clock = sink, prefix, clock
         self._midnight, self._known = get_midnight(), list(read())
         self._job: Job | None = None
         self._began_s = 0.0
+        self._read_condition = read_condition
+        self.condition: NightlyCondition | None = None
+        self._renew_condition()
 
     def __call__(self, _: Any) -> None:
         """Start a diagnosis when a day has ended, and announce what changed when the diagnosis has ended."""
@@ -97,12 +125,24 @@ class NightlyDiagnosis:
         self._began_s = self._clock()
         _log.info("diagnosis begins")
 
+    def _renew_condition(self) -> None:
+        """Read the condition of the cars again, or log why it cannot be read."""
+        before = self.condition
+        try:
+            self.condition = self._read_condition()
+        except SocastError as error:
+            _log.error("condition of the cars unknown: %s", error)
+            return
+        if self.condition is not None and self.condition != before:
+            _log.info("condition of the cars known", extra=event_fields(cars=len(self.condition.cars)))
+
     def _finish(self, job: Job, code: int) -> None:
         """Announce what changed, or log why the diagnosis failed."""
         self._job = None
         seconds = round(self._clock() - self._began_s, 1)
         reason = job.get_error() if code != 0 else ""
         job.end()
+        self._renew_condition()
         before = self._known
         try:
             self._known = list(self._read())

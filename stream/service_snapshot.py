@@ -16,6 +16,7 @@ from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
 from socast.stream.loop import Tally
+from socast.stream.nightly_diagnosis import UNKNOWN_LEVEL, NightlyCondition
 from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
 
@@ -101,6 +102,18 @@ class VehicleSnapshot:
     lost: tuple[int, ...] | None = _counter(
         "socast_vehicle_lost",
         "Samples of a vehicle that never came; only with --metrics-per-car.",
+        "vehicle",
+        default=None,
+    )
+    consumption_ratio: tuple[float | None, ...] | None = _gauge(
+        "socast_vehicle_consumption_ratio",
+        "Consumption of a vehicle over that of its siblings; only with --watch and --metrics-per-car.",
+        "vehicle",
+        default=None,
+    )
+    usable_kwh: tuple[float | None, ...] | None = _gauge(
+        "socast_vehicle_usable_kwh",
+        "Usable capacity of a vehicle's battery when it is mild; only with --watch and --metrics-per-car.",
         "vehicle",
         default=None,
     )
@@ -193,6 +206,11 @@ class ServiceSnapshot:
     recorded_s: float | None = _gauge(
         "socast_recording_age_seconds", "Time since the recording was synced to disk.", default=None
     )
+    assessed_s: float | None = _gauge(
+        "socast_condition_age_seconds",
+        "Time since the condition of the vehicles was assessed; only with --watch.",
+        default=None,
+    )
     publishes: bool | None = _gauge("socast_publishes", "1 where this consumer publishes, 0 on standby.", default=None)
     overlapping: tuple[str, ...] = _gauge(
         "socast_overlapping_consumers", "Other consumers that publish for the same cars.", default=()
@@ -258,6 +276,8 @@ class SnapshotTaker:
         Share of the fleet that is served.
     per_vehicle : bool
         Whether to export values of each vehicle.
+    get_condition : callable
+        Function that returns the condition of the vehicles, None where it is unknown.
     now, clock : callable
         Functions that return Unix time and monotonic time. [s]
     """
@@ -274,17 +294,18 @@ class SnapshotTaker:
         *,
         shard: Shard | None = None,
         per_vehicle: bool = False,
+        get_condition: Callable[[], NightlyCondition | None] = lambda: None,
         now: Callable[[], float] = time.time,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._source, self._recorder = pipeline, source, recorder
         self._checkpoints, self._queries, self._candidate = checkpoints, queries, candidate
         self._overlap, self._shard, self._per_vehicle = overlap, shard, per_vehicle
-        self._now, self._clock = now, clock
+        self._now, self._clock, self._get_condition = now, clock, get_condition
 
     def __call__(self, tally: Tally, lag: LagMeter) -> ServiceSnapshot:
         """Return the present snapshot."""
-        recorder, queries = self._recorder, self._queries
+        recorder, queries, condition = self._recorder, self._queries, self._get_condition()
         saved_s = self._checkpoints.saved_s if self._checkpoints else None
         return ServiceSnapshot(
             messages=tally.received,
@@ -297,6 +318,7 @@ class SnapshotTaker:
             unrecorded=recorder.unrecorded if recorder else None,
             recorded_s=self._to_unix(recorder.synced_s if recorder else None),
             saved_s=self._to_unix(saved_s),
+            assessed_s=condition.assessed_s if condition else None,
             lag=lag.count(),
             answered=queries.answered if queries else 0,
             refused_queries=dict(queries.refused) if queries else {},
@@ -306,7 +328,7 @@ class SnapshotTaker:
             shard=str(self._shard or ""),
             shards=self._shard.count if self._shard else None,
             **_read_quality(self._pipeline.quality()),
-            **self._read_vehicles(),
+            **self._read_vehicles(condition),
             **self._read_models(),
             interval_outcomes=dict(self._list_outcomes()),
         )
@@ -320,7 +342,7 @@ class SnapshotTaker:
         counts = {name: getattr(self._source, name, None) for name in OF_SOURCE}
         return {name: dict(value) if isinstance(value, Mapping) else value for name, value in counts.items()}
 
-    def _read_vehicles(self) -> dict[str, Any]:
+    def _read_vehicles(self, condition: NightlyCondition | None) -> dict[str, Any]:
         """Return the numbers of vehicles, the newest sample and, if asked for, values of each vehicle."""
         now, lanes = self._now(), self._pipeline.totals.cleaner.lanes_heard()
         newest = self._pipeline.totals.cleaner.state["stamp"][lanes]
@@ -333,7 +355,9 @@ class SnapshotTaker:
             names = self._pipeline.lanes.names
             lost = self._pipeline.decoder.losses.lost()[lanes]
             heard = tuple(names[lane] for lane in lanes.tolist())
-            out["of_vehicles"] = VehicleSnapshot(heard, tuple(newest.tolist()), tuple(lost.tolist()))
+            levels = [condition.cars.get(name, UNKNOWN_LEVEL) for name in heard] if condition else []
+            of_condition = zip(*levels, strict=True) if levels else (None, None)
+            out["of_vehicles"] = VehicleSnapshot(heard, tuple(newest.tolist()), tuple(lost.tolist()), *of_condition)
         return out
 
     def _read_models(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ usable capacity of each car (`socast.core.condition.level_model`), and sudden ch
 (`socast.core.condition.level_steps`). What the cold takes off the capacity is estimated of the whole fleet first.
 """
 
+from collections.abc import Sequence
 from datetime import date
 from typing import Final, NamedTuple
 
@@ -19,9 +20,11 @@ from socast.core.condition.car_days import (
     gather_car_days,
     subtract_siblings,
 )
+from socast.core.condition.known_events import place_events
 from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering, smooth_levels
 from socast.core.condition.level_steps import LevelStep, separate_steps, subtract_steps
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.models import LinearModel
 from socast.core.records import ConfidenceInterval
@@ -48,13 +51,15 @@ class Followed(NamedTuple):
     found: Wandering
 
 
-def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
+def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[KnownEvent] = ()) -> FleetCondition:
     """Return how each car is doing, from its rides and a model of its consumption.
 
     Parameters
     ----------
     rides : DataFrame
         Ride table, as `socast tables` writes it.
+    events : sequence of KnownEvent
+        Known events, which are placed beside the sudden changes and do not alter them.
 
     Raises
     ------
@@ -69,7 +74,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
     cars = [_assess_car(days, i, consumption, batteries) for i in range(len(days.cars))]
     known = np.isfinite(days.consumption.value)
     sizes = consumption.found.of_day**2, consumption.found.of_amount**2
-    return FleetCondition(
+    result = FleetCondition(
         model=model.name,
         rides=len(compared.rides),
         car_days=int(known.sum()),
@@ -82,6 +87,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel) -> FleetCondition:
         cold_loss_pct=None if cold_loss is None else 100.0 * cold_loss,
         cars=sorted(cars, key=_rank),
     )
+    return place_events(result, events)
 
 
 def follow(series: Series, prior: Wandering) -> Followed:

@@ -7,6 +7,15 @@ import pandas as pd
 from socast.core.records import ConfidenceInterval, PartialRecord, Record, declare
 
 
+class CarEvent(PartialRecord, frozen=True):
+    """Hold a known event of a car, such as a repair, and where it is beside a sudden change."""
+
+    date: Annotated[str, declare("First UTC date after the event.", "date")]
+    what: Annotated[str, declare("What happened; empty where the file says nothing.", "what")]
+    step_since: Annotated[str | None, declare("First date after the nearest sudden change; None without one.")] = None
+    days_after_step: Annotated[int | None, declare("Days from that date to the event; below 0 before it. [d]")] = None
+
+
 class ConditionStep(Record, frozen=True):
     """Hold a sudden change of a car."""
 
@@ -15,6 +24,7 @@ class ConditionStep(Record, frozen=True):
     change_pct: Annotated[float, declare("Change of the quantity. [%]", "change, %", "estimate", "ci95_pct")]
     ci95_pct: Annotated[ConfidenceInterval, declare("95 % interval of the change. [%]")]
     probability: Annotated[float, declare("Probability that there is a change at all. [1]", "probability", "percent")]
+    events: Annotated[list[CarEvent], declare("Known events that the interval of dates holds.")] = []
 
 
 class Trend(PartialRecord, frozen=True):
@@ -45,6 +55,7 @@ class CarCondition(PartialRecord, frozen=True):
         None
     )
     nominal_kwh: Annotated[float | None, declare("Usable capacity by the catalogue. [kWh]")] = None
+    events: Annotated[list[CarEvent], declare("Known events of this car alone, by their dates.")] = []
 
     @property
     def has_finding(self) -> bool:
@@ -76,6 +87,8 @@ class FleetCondition(Record, frozen=True):
     day_sd_pct: Annotated[float, declare("Standard deviation of the consumption from its level, usual day. [%]")]
     cold_loss_pct: Annotated[float | None, declare("Capacity that a kelvin below 10 °C takes off. [%/K]")]
     cars: list[CarCondition] = []
+    events: Annotated[list[CarEvent], declare("Known events of all cars, by their dates.")] = []
+    events_left_out: Annotated[int, declare("Number of known events of other cars, or outside the dates.")] = 0
 
     @property
     def table(self) -> pd.DataFrame:

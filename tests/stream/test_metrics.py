@@ -36,6 +36,10 @@ def test_every_value_of_a_snapshot_is_exported_under_its_name():
     assert samples["socast_shards"] == 2.0
     assert samples['socast_vehicle_sample_age_seconds{vehicle="car-2"}'] == 61.5
     assert samples['socast_vehicle_lost_total{vehicle="car-1"}'] == 5.0
+    assert samples["socast_condition_age_seconds"] == 21.5
+    assert samples['socast_vehicle_consumption_ratio{vehicle="car-1"}'] == 1.05
+    assert 'socast_vehicle_consumption_ratio{vehicle="car-2"}' not in samples
+    assert samples['socast_vehicle_usable_kwh{vehicle="car-2"}'] == 27.0
     named = {name.partition("{")[0] for name in samples}
     assert set(list_metric_names()) <= named
 
@@ -56,6 +60,8 @@ def test_no_metric_but_those_of_vehicles_has_a_label_for_vehicles():
     assert {row.name for row in METRICS if "vehicle" in row.labels} == {
         "socast_vehicle_sample_age_seconds",
         "socast_vehicle_lost",
+        "socast_vehicle_consumption_ratio",
+        "socast_vehicle_usable_kwh",
     }
 
 

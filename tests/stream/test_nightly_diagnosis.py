@@ -11,7 +11,7 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.stream.loop import Tally, run
 from socast.stream.memory import MemorySink, MemorySource
-from socast.stream.nightly_diagnosis import NightlyDiagnosis
+from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition, NightlyDiagnosis
 from socast.tools.terminal.night_watch import make_finding_fields
 from tests.support.findings import make_finding
 from tests.support.recorded_shift import make_two_days
@@ -27,8 +27,16 @@ class Nights:
         self.sink = MemorySink()
         self.watch = self.make_watch(lambda: self.midnight)
 
-    def make_watch(self, get_midnight):
-        return NightlyDiagnosis(get_midnight, self.start, self.read, self.sink, make_finding_fields, "p/")
+    def make_watch(self, get_midnight, read_condition=lambda: None):
+        return NightlyDiagnosis(
+            get_midnight,
+            self.start,
+            self.read,
+            self.sink,
+            make_finding_fields,
+            "p/",
+            read_condition=read_condition,
+        )
 
     def start(self):
         self.jobs += 1
@@ -124,6 +132,31 @@ def test_findings_that_cannot_be_read_are_logged(nights, log):
     nights.watch._read = fail
     nights.look()
     assert "diagnosis failed" in log.text
+
+
+def test_condition_is_read_at_the_start_and_after_each_night_and_kept_where_it_cannot_be_read(nights, log):
+    found = [NightlyCondition(1.0, {"car": CarLevel(1.05, 27.0)})]
+
+    def read():
+        if isinstance(found[0], Exception):
+            raise found[0]
+        return found[0]
+
+    watch = nights.make_watch(lambda: nights.midnight, read)
+    nights.watch = watch
+    assert watch.condition.assessed_s == 1.0
+    nights.code = 2  # a diagnosis that fails has assessed the cars before
+    nights.look(DAY)
+    nights.look(2 * DAY)
+    found[0] = NightlyCondition(2.0, {})
+    nights.look()
+    assert watch.condition.assessed_s == 2.0
+    found[0] = SettingsError("c.json is no condition of cars: remove it")
+    nights.look(3 * DAY)
+    nights.look()
+    assert watch.condition.assessed_s == 2.0
+    assert [line.fields["cars"] for line in log.records if line.message == "condition of the cars known"] == [1, 0]
+    assert "condition of the cars unknown: c.json is no condition of cars" in log.text
 
 
 def run_two_days(nights):

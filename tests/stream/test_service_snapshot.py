@@ -9,6 +9,7 @@ from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
 from socast.stream.loop import Tally, run
 from socast.stream.memory import MemorySink, MemorySource
+from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition
 from socast.stream.recorder import Recorder
 from socast.stream.service_snapshot import LAG_BUCKETS, OF_SOURCE, LagMeter, SnapshotTaker
 from socast.stream.service_status import ServiceStatus, ServiceWatch
@@ -36,6 +37,20 @@ def test_counts_of_a_shift_are_those_of_the_pipeline(tmp_path):
     assert 0.0 <= snapshot.newest_sample_s - BEGIN <= 1300.0
     assert (snapshot.vehicles, snapshot.active_vehicles) == (3, 3)
     assert sum(status.snapshot.lag.counts) > 0
+
+
+def test_levels_of_the_nightly_assessment_are_those_of_their_cars():
+    pipeline, source = Pipeline(EXTENDED_PHYSICAL), MemorySource(shift(), 50)
+    tally = run(source, pipeline, keep_open=True)
+    known = [None]
+    take = SnapshotTaker(pipeline, source, per_vehicle=True, get_condition=lambda: known[0])
+    before = take(tally, LagMeter())
+    assert (before.assessed_s, before.of_vehicles.consumption_ratio) == (None, None)
+    known[0] = NightlyCondition(90.0, {"car-1": CarLevel(1.05, 26.5), "of yesterday": CarLevel(1.0, None)})
+    after = take(tally, LagMeter())
+    assert after.assessed_s == 90.0
+    assert after.of_vehicles.consumption_ratio == (None, 1.05, None)
+    assert after.of_vehicles.usable_kwh == (None, 26.5, None)
 
 
 def test_a_consumer_of_several_tells_whether_it_publishes():

@@ -17,6 +17,7 @@ FUNCTIONS = {
         "rate",
         "sum",
         "topk",
+        "bottomk",
         "vector",
     ),
     *("and", "by", "on", "unless", "or"),

@@ -46,7 +46,8 @@ FULL = ServiceSnapshot(
     publishes=True,
     overlapping=("shard 3/3",),
     shards=2,
-    of_vehicles=VehicleSnapshot(("car-1", "car-2"), (100.0, 40.0), (5, 0)),
+    of_vehicles=VehicleSnapshot(("car-1", "car-2"), (100.0, 40.0), (5, 0), (1.05, None), (26.5, 27.0)),
+    assessed_s=80.0,
 )
 """Snapshot with a value of every metric."""
 

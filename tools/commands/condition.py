@@ -6,7 +6,8 @@ import typer
 
 from socast.core import models
 from socast.core.condition.car_condition import assess_condition
-from socast.tools.terminal.output import HtmlFile, JsonFile, write_json
+from socast.core.diagnose.inference.events import read_events
+from socast.tools.terminal.output import EventsFile, HtmlFile, JsonFile, write_json
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
@@ -18,6 +19,7 @@ def show_condition(
     model: Annotated[str, typer.Option("--model", metavar="M", help="A model's name, or a model file.")],
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    events: EventsFile = None,
 ) -> None:
     """Tell how each car is doing: what it takes beside its siblings, what its battery holds, and since when.
 
@@ -28,13 +30,15 @@ def show_condition(
     Examples
     --------
     socast condition tables --model fitted.json --html condition.html
+    socast condition tables --model fitted.json --events workshop.csv
     socast condition recordings/autumn.mcap --model extended_physical
     socast condition tables --model fitted.json --json - | jq '.cars[0]'
     """
     source.check(json_file, html_file, models=[model])
+    known = read_events(events) if events else []
     chosen = models.load(model)
     with source.open_tables(chosen.effects) as tables:
         rides = tables.read(chosen.effects, library=False)[0] if tables.is_recorded else tables.read_rides()
-    result = assess_condition(rides, chosen)
+    result = assess_condition(rides, chosen, known)
     write_json(json_file, "condition", result.to_json())
     show_report("condition", result, html_file, json_file)

@@ -26,13 +26,15 @@ from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
+from socast.core.formatting import format_count
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.features import EFFECT_PREFIX, FEATURES, list_scope
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.night_watch import read_findings, show_changes, write_findings
+from socast.tools.terminal.night_watch import PAGE, read_findings, show_changes, write_condition, write_findings
 from socast.tools.terminal.output import (
+    EventsFile,
     HtmlFile,
     JsonFile,
     make_console,
@@ -88,16 +90,19 @@ def diagnose_rides(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
     ] = None,
-    events: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Known events that may have changed a car: columns date,vehicle_id."),
-    ] = None,
+    events: EventsFile = None,
     since: Annotated[
         str | None, typer.Option(metavar="DATE", help="Diagnose only rides from this UTC date on, such as 2018-11-01.")
     ] = None,
     findings: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Keep what was found in this file, and report what is new and what is gone."),
+    ] = None,
+    condition: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="F.json", help="Also write the condition of the cars over the last year, and F.html beside it."
+        ),
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add the first missing effect and repeat.")] = False,
     out: Annotated[
@@ -119,10 +124,13 @@ def diagnose_rides(
             auto and (groups or events),
             "--groups and --events have no effect with --auto, which adds effects of all cars",
         ),
+        (auto and condition, "--condition has no effect with --auto: run `socast condition`"),
         (auto and findings, "--findings has no effect with --auto, which adds what it finds: give one of the two"),
     )
     first_day = parse_date("--since", since) if since else None
-    source.check(json_file, html_file, suggest, findings, out, models=[model])
+    page = condition.with_suffix(PAGE) if condition else None
+    refuse((condition is not None and condition == page, f"--condition is {condition}: name a file that ends in .json"))
+    source.check(json_file, html_file, suggest, findings, condition, page, out, models=[model])
     loaded = models.load(model)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
@@ -137,6 +145,8 @@ def diagnose_rides(
             style="yellow",
             soft_wrap=True,
         )
+    if condition:  # first, because it needs fewer rides
+        print_plain(console, _assess(table, loaded, condition))
     if auto and out is not None:
         loaded, result = _auto(loaded, table, windows, least_gain, console, dated=dated)
         models.save(loaded, out)
@@ -241,6 +251,14 @@ def parse_term(entry: NamedEffect | CarDeviation) -> tuple[str, list[str]]:
     """Return the name of a missing effect, or of its variant, and its scope."""
     names = [column.removeprefix(EFFECT_PREFIX) for column in entry.columns if column.startswith(EFFECT_PREFIX)]
     return names[0], list_scope(entry.columns)
+
+
+def _assess(rides: pd.DataFrame, model: LinearModel, path: Path) -> str:
+    """Write the condition of the cars, and return what was written, or why it cannot be told."""
+    try:
+        return f"condition of {format_count(write_condition(path, rides, model), 'car')} in {path}"
+    except ModelError as error:
+        return f"no condition of the cars: {error}"
 
 
 def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding], file: Path) -> list[Finding]:

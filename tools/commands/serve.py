@@ -17,7 +17,7 @@ from socast.stream.zenoh_session import LOOPBACK, Connection
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import advise_fit, load_models
-from socast.tools.terminal.output import refuse
+from socast.tools.terminal.output import EventsFile, refuse
 from socast.tools.terminal.progress import show_elapsed
 from socast.tools.terminal.ride_source import RideSource
 from socast.tools.terminal.time_zone import parse_zone
@@ -67,6 +67,7 @@ def serve(
             metavar="WHAT", help="With --live: `chunk` where consumers have --shard-by chunk.", rich_help_panel=SERVICE
         ),
     ] = "name",
+    events: EventsFile = None,
     tiles: Annotated[
         Path | None, typer.Option(metavar="F.pmtiles", help="Draw the raster tiles of this file beneath the fleet.")
     ] = None,
@@ -120,7 +121,7 @@ def serve(
     source = RideSource(
         tuple(given or ()), options.settings, options.elevation, options.effect_files, options.vehicle_files
     )
-    workspace = Workspace(Given(source, tuple(options.models), folder, router))
+    workspace = Workspace(Given(source, tuple(options.models), folder, router, events))
     if time_zone:
         parse_zone(time_zone)
     drawn = TileFile(tiles) if tiles else None

@@ -1,17 +1,19 @@
 """Show how cars are doing: in the terminal in words and as a table, and as a page with a figure of each car."""
 
+from collections.abc import Sequence
+from datetime import date
 from typing import Final
 
 import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
+from socast.core.condition.records import CarCondition, CarEvent, ConditionStep, FleetCondition, Trend
 from socast.core.formatting import format_minus, word_date
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.report.document import Illustration, Report, Section, print_section
-from socast.tools.report.figure_style import REFERENCE_LINE, get_style, make_figure
+from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, get_style, make_figure
 from socast.tools.report.table import UNKNOWN, ReportTable, format_count, tabulate
 
 TITLE: Final = "Condition of the cars"
@@ -32,6 +34,19 @@ STEP_NOTE: Final = (
 LEAST_COLD_LOSS: Final = 0.02
 """Least loss of capacity in the cold that is told. [%/K]"""
 BAND_NOTE: Final = "Band: 95 % interval of the level."
+EVENT_NOTE: Final = "Dotted vertical lines: known events."
+CLEAR: Final = "as expected, within the interval."
+"""What is said of a car without a finding."""
+ROWS: Final = 3
+"""Largest number of rows of words of events above a figure; further events have a line alone, and stand below it."""
+ROW_PX: Final = 15
+"""Height of such a row. [px]"""
+LONGEST: Final = 24
+"""Largest number of characters of the words of an event in a figure."""
+LEAST_LONG: Final = 10
+"""Number of them that must have room to the right of its line; else the words stand to the left."""
+ROOM: Final = 40
+"""Number of characters that have room in a row."""
 
 
 def show(result: FleetCondition, console: Console) -> None:
@@ -48,8 +63,10 @@ def build_report(result: FleetCondition) -> Report:
     title = "Each car" if drawn == cars else f"The first {drawn} of {cars} cars"
     sections = [
         Section("cars", "All cars", _describe_data(result), [tabulate_cars(result)]),
-        Section("each", title, BAND_NOTE, []),
+        Section("each", title, f"{BAND_NOTE} {EVENT_NOTE}" if _has_events(result) else BAND_NOTE, []),
     ]
+    if _has_events(result):
+        sections.append(Section("events", "Known events", "", [_tabulate_events(result)]))
     figures = {"each": _illustrate}
     return Report("condition", "condition", TITLE, sections, describe_fleet(result), (), result, figures)
 
@@ -75,7 +92,7 @@ def describe_fleet(result: FleetCondition) -> list[str]:
     found = [car for car in result.cars if car.has_finding]
     unknown = [car.vehicle_id for car in result.cars if car.consumption is None]
     rest = len(result.cars) - len(found) - sum(car.consumption is None and not car.has_finding for car in result.cars)
-    lines = [describe_car(car) for car in found[:MOST_DESCRIBED]]
+    lines = [" ".join([describe_car(car), *_list_known(car.events)]) for car in found[:MOST_DESCRIBED]]
     if more := len(found) - MOST_DESCRIBED:
         lines += [f"{more} more {'car differs' if more == 1 else 'cars differ'}: see the table."] if more > 0 else []
     if rest:
@@ -86,7 +103,39 @@ def describe_fleet(result: FleetCondition) -> list[str]:
     if unknown:
         others = " and others" if len(unknown) > MOST_DESCRIBED else ""
         lines.append(f"Too few dates tell of {', '.join(unknown[:MOST_DESCRIBED])}{others}.")
+    return lines + _describe_further_events(result)
+
+
+def _describe_further_events(result: FleetCondition) -> list[str]:
+    """Return the events of cars without a finding and of all cars in words, and how many others there are."""
+    clear = [car for car in result.cars if car.events and not car.has_finding]
+    lines = [line for car in clear[:MOST_DESCRIBED] for line in _list_known(car.events, f" of {car.vehicle_id}")]
+    if len(clear) > MOST_DESCRIBED:
+        lines.append(f"Known events of {len(clear) - MOST_DESCRIBED:,} more cars: see the page of --html.")
+    lines += _list_known(result.events, " of all cars")
+    if left := result.events_left_out:
+        which = "1 known event is" if left == 1 else f"{left:,} known events are"
+        lines.append(f"{which} of other cars, or outside the dates, and left out.")
     return lines
+
+
+def _list_known(events: Sequence[CarEvent], of: str = "") -> list[str]:
+    """Return a sentence with all events, nothing without any."""
+    return [f"Known{of}: {'; '.join(map(describe_event, events))}."] if events else []
+
+
+def describe_event(event: CarEvent) -> str:
+    """Return an event in words, such as `new tyres on 20 November 2018, 8 days after the step`."""
+    after = event.days_after_step
+    if after is None:
+        return _name_event(event)
+    days = f"{abs(after)} day{'' if abs(after) == 1 else 's'} {'after' if after > 0 else 'before'}"
+    return f"{_name_event(event)}, {days if after else 'the date of'} the step"
+
+
+def _name_event(event: CarEvent) -> str:
+    """Return what happened, and when."""
+    return f"{event.what or 'event'} on {word_date(event.date)}"
 
 
 def describe_car(car: CarCondition) -> str:
@@ -125,7 +174,9 @@ def _word_change(percent: float, interval: ConfidenceInterval) -> str:
 def _word_step(step: ConditionStep) -> str:
     """Return a sudden change in words."""
     low, high = (word_date(each) for each in step.interval)
-    between = f" (between {low} and {high})" if low != high else ""
+    more = [f"between {low} and {high}"] if low != high else []
+    more += [f"with {' and '.join(map(_name_event, step.events))}"] if step.events else []
+    between = f" ({', '.join(more)})" if more else ""
     return f"{_word_change(step.change_pct, step.ci95_pct)} since {word_date(step.since)}{between}"
 
 
@@ -146,6 +197,29 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
         ],
         (NOTE, STEP_NOTE),
     )
+
+
+def _has_events(result: FleetCondition) -> bool:
+    """Return whether any event is shown."""
+    return bool(result.events) or any(car.events for car in result.cars)
+
+
+def _tabulate_events(result: FleetCondition) -> ReportTable:
+    """Return a row for each event, those of all cars last."""
+    rows = [(car.vehicle_id, event) for car in result.cars for event in car.events]
+    columns = [
+        ("date", lambda event: event.date),
+        ("what", lambda event: event.what or UNKNOWN),
+        ("nearest step", lambda event: event.step_since or UNKNOWN),
+        ("days after it", _format_days),
+    ]
+    notes = ("Nearest step: the first date after the sudden change of this car that is nearest to the event.",)
+    return tabulate("Known events", "car", [*rows, *(("all cars", each) for each in result.events)], columns, notes)
+
+
+def _format_days(event: CarEvent) -> str:
+    """Return how many days after the nearest step an event is."""
+    return UNKNOWN if event.days_after_step is None else format_minus(f"{event.days_after_step:+d}")
 
 
 def _format_usable(car: CarCondition) -> str:
@@ -189,16 +263,16 @@ def _illustrate(result: FleetCondition) -> list[Illustration]:
         Illustration(
             f"car-{place}",
             car.vehicle_id,
-            describe_car(car) or f"{car.vehicle_id}: as expected, within the interval.",
-            draw_car(car),
+            " ".join([describe_car(car) or f"{car.vehicle_id}: {CLEAR}", *_list_known([*car.events, *result.events])]),
+            draw_car(car, result.events),
             small=True,
         )
         for place, car in enumerate(result.cars[:MOST_DRAWN])
     ]
 
 
-def draw_car(car: CarCondition) -> go.Figure:
-    """Return a figure of the consumption and the usable capacity of a car over the dates."""
+def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
+    """Return a figure of the consumption and the usable capacity of a car over the dates, with known events."""
     traces: list[go.Scatter] = []
     for place, (name, trend) in enumerate((("consumption", car.consumption), ("usable capacity", car.capacity))):
         if trend is None:
@@ -232,4 +306,58 @@ def draw_car(car: CarCondition) -> go.Figure:
         ]
     made = make_figure(traces, 280, x={"title_text": "date [UTC]"}, y={"title_text": "beside expected [%]"})
     made.add_hline(y=0.0, line=REFERENCE_LINE)
+    days = [each for trend in (car.consumption, car.capacity) if trend for each in trend.dates]
+    _mark_events(made, sorted([*car.events, *of_all], key=lambda each: each.date), days)
     return made
+
+
+def _mark_events(made: go.Figure, events: Sequence[CarEvent], days: Sequence[str]) -> None:
+    """Draw events as dotted vertical lines through a figure of these dates, with their words in rows above it.
+
+    The last event is lowest, so that the lines of the others pass to the left of its words.
+    """
+    if not events:
+        return
+    places = [date.fromisoformat(each).toordinal() for each in (*days, *(event.date for event in events))]
+    first, room = min(places) - 1, max(places) - min(places) + 2
+    rows: list[list[tuple[float, float]]] = [[] for _ in range(ROWS)]
+    line = {**REFERENCE_LINE, "dash": "dot"}
+    for event in reversed(events):
+        made.add_shape(type="line", x0=event.date, x1=event.date, y0=0, y1=1, yref="paper", line=line)
+        at, text = (date.fromisoformat(event.date).toordinal() - first) / room, event.what or "event"
+        right = int(ROOM * (1.0 - at))
+        fits = right >= min(LEAST_LONG, len(text))
+        longest = min(LONGEST, right) if fits else LONGEST
+        text = text if len(text) <= longest else f"{text[: longest - 1]}…"
+        wide = (len(text) + 1) / ROOM
+        low = at if fits else at - wide
+        free = (row for row, taken in enumerate(rows) if all(low >= to or low + wide <= since for since, to in taken))
+        if (row := next(free, None)) is None:
+            continue
+        rows[row].append((low, low + wide))
+        made.add_shape(
+            type="line",
+            x0=event.date,
+            x1=event.date,
+            y0=0,
+            y1=ROW_PX * (row + 1),
+            yref="paper",
+            ysizemode="pixel",
+            yanchor=1,
+            line=line,
+        )
+        made.add_annotation(
+            x=event.date,
+            y=1.0,
+            yref="paper",
+            yshift=ROW_PX * row,
+            yanchor="bottom",
+            xanchor="left" if fits else "right",
+            text=escape_label(text),
+            showarrow=False,
+            hovertext=escape_label(_name_event(event)),
+        )
+    above = ROW_PX * sum(map(bool, rows))
+    made.layout.margin.t = above + 18
+    made.layout.height += above
+    made.update_xaxes(range=[date.fromordinal(each).isoformat() for each in (first, first + room)])

@@ -315,6 +315,12 @@ def _add_watches(
     parts.watches.extend([parts.queries, parts.rides, LimitLog(parts.pipeline), overlap])
     if parts.checkpoints:
         parts.watches.append(parts.checkpoints)
+    nightly = None
+    if options.recording.folder and options.watch:
+        nightly = make_nightly_diagnosis(
+            options.forecast, parts.pipeline, parts.sink, options.recording.folder, options.watch
+        )
+        ending.callback(nightly.end)
     take = SnapshotTaker(
         parts.pipeline,
         parts.source,
@@ -325,13 +331,10 @@ def _add_watches(
         overlap,
         shard=options.shard,
         per_vehicle=options.metrics_per_car,
+        get_condition=lambda: nightly.condition if nightly else None,
     )
     parts.watches.extend(parts.monitor.make_watches(take, stop))
-    if options.recording.folder and options.watch:
-        nightly = make_nightly_diagnosis(
-            options.forecast, parts.pipeline, parts.sink, options.recording.folder, options.watch
-        )
-        ending.callback(nightly.end)
+    if nightly:
         parts.watches.append(nightly)
 
 

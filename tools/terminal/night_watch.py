@@ -1,21 +1,27 @@
-"""The option `--watch` of `socast live`: a diagnosis after every midnight, and the file that keeps its findings."""
+"""The option `--watch` of `socast live`: a diagnosis after every midnight, and the files that keep what it finds."""
 
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import pandas as pd
+from msgspec.structs import replace
 from rich.console import Console
 
+from socast.core.condition.records import CarCondition, Trend
 from socast.core.diagnose.findings import list_changes
 from socast.core.errors import SettingsError, read_input
+from socast.core.fit.ride_blocks import get_names
+from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Finding
-from socast.stream.nightly_diagnosis import NightlyDiagnosis
+from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition, NightlyDiagnosis
 from socast.stream.source import Sink
 from socast.stream.zenoh_session import parse_prefix
 from socast.tools.terminal.forecast_options import ForecastOptions
@@ -24,6 +30,9 @@ from socast.tools.terminal.output import check_outputs, print_plain, write_json
 
 LOW_PRIORITY: Final = 15
 """Niceness of the process, so that the loop goes first."""
+MOST_DATES: Final = 365
+"""Number of days before the last ride, this one included, over which the condition of the cars is assessed."""
+PAGE: Final = ".html"
 END_S: Final = 5.0
 """Time that the process has to end when it is asked to. [s]"""
 
@@ -70,6 +79,7 @@ def check_watch(options: ForecastOptions, record: Path | None, watch: Path | Non
     if record is None:
         raise SettingsError("--watch diagnoses what --record keeps: give --record DIR too")
     check_outputs(options.files, watch)
+    check_outputs(options.files, *name_condition_files(watch))
     read_findings(watch)
 
 
@@ -80,7 +90,8 @@ def make_nightly_diagnosis(
     arguments = [str(record), "--model", options.models[0] if options.models else DEFAULT_MODEL]
     arguments += [word for path in options.effect_files for word in ("--effects", str(path))]
     arguments += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]
-    arguments += ["--findings", str(file)]
+    data, _ = name_condition_files(file)
+    arguments += ["--findings", str(file), "--condition", str(data)]
     return NightlyDiagnosis(
         lambda: pipeline.day_rollover.midnight,
         lambda: DiagnosisProcess(arguments),
@@ -88,7 +99,81 @@ def make_nightly_diagnosis(
         sink,
         make_finding_fields,
         parse_prefix(options.prefix),
+        read_condition=lambda: read_condition(data),
     )
+
+
+def name_condition_files(watch: Path) -> tuple[Path, Path]:
+    """Return the files beside the findings that hold the condition of the cars: its JSON and its page."""
+    data = watch.with_name(f"{watch.stem}-condition.json")
+    return data, data.with_suffix(PAGE)
+
+
+def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel) -> int:
+    """Assess the condition of the cars over the last year of rides, write it and its page, and return their number.
+
+    The year bounds the cost of a night: that of a car grows with the third power of its dates.
+    """
+    from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
+    from socast.tools.report import condition, page  # noqa: PLC0415 - figures take seconds to import
+
+    dates = get_names(rides, "date")
+    first = date.fromisoformat(max(dates, default=date.max.isoformat())) - timedelta(days=MOST_DATES - 1)
+    found = assess_condition(rides.loc[[day >= first.isoformat() for day in dates]], model)
+    page.write_report(condition.build_report(found), path.with_suffix(PAGE))
+    write_json(path, "condition", replace(found, cars=list(map(_forget_days, found.cars))).to_json())
+    return len(found.cars)
+
+
+def _forget_days(car: CarCondition) -> CarCondition:
+    """Return a car without the values of single days, so that the loop reads the file of a large fleet at once."""
+
+    def forget(trend: Trend | None) -> Trend | None:
+        return trend and replace(trend, dates=[], measured_pct=[], path_pct=[], path_sd_pct=[])
+
+    return replace(car, consumption=forget(car.consumption), capacity=forget(car.capacity))
+
+
+def read_condition(path: Path) -> NightlyCondition | None:
+    """Return the levels of the cars of a file, None if the file does not exist."""
+    try:
+        cars = msgspec.json.decode(read_input(path), type=_Assessed).cars
+        return NightlyCondition(path.stat().st_mtime, {car.vehicle_id: car.make_level() for car in cars})
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise SettingsError(f"{path} cannot be read: {error.strerror}; remove it") from error
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path} is no condition of cars: {error}; remove it") from error
+
+
+class _Level(msgspec.Struct):
+    """Hold the last level of a quantity over what is expected, less 100 %. [%]"""
+
+    level_pct: float
+
+
+class _Car(msgspec.Struct):
+    """Hold what the file tells of a car, as far as metrics hold it."""
+
+    vehicle_id: str
+    consumption: _Level | None = None
+    capacity: _Level | None = None
+    nominal_kwh: float | None = None
+
+    def make_level(self) -> CarLevel:
+        """Return the levels of the car."""
+        ratio = 1.0 + self.consumption.level_pct / 100.0 if self.consumption else None
+        usable = None
+        if self.capacity is not None and self.nominal_kwh is not None:
+            usable = self.nominal_kwh * (1.0 + self.capacity.level_pct / 100.0)
+        return CarLevel(ratio, usable)
+
+
+class _Assessed(msgspec.Struct):
+    """Hold the cars of a report on their condition."""
+
+    cars: list[_Car]
 
 
 class _Content(msgspec.Struct):

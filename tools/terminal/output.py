@@ -96,6 +96,14 @@ HtmlFile = Annotated[
     typer.Option("--html", metavar="FILE", help="Write a report with figures.", callback=_refuse_standard_output),
 ]
 ModelName = Annotated[str, typer.Option(metavar="M", help="Name of a model, or a model file.")]
+EventsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--events",
+        metavar="FILE.csv",
+        help="Known events that may have changed a car, such as repairs: columns date,vehicle_id,what.",
+    ),
+]
 EffectFiles = Annotated[
     list[Path] | None,
     typer.Option(

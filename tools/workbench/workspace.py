@@ -13,6 +13,7 @@ import pandas as pd
 
 from socast.core.condition.records import FleetCondition
 from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.inference.events import read_events
 from socast.core.diagnose.records import Diagnosis
 from socast.core.errors import ModelError, SettingsError, SocastError
 from socast.core.fit.recipes import fit_to_windows
@@ -41,12 +42,15 @@ class Given(NamedTuple):
         Folder in which models are kept; by default a temporary one.
     live : str, optional
         Endpoint of a live service, None without one.
+    events : Path, optional
+        File of known events of the cars.
     """
 
     source: RideSource = RideSource()
     models: Sequence[str] = ()
     folder: Path | None = None
     live: str | None = None
+    events: Path | None = None
 
 
 class RideTables(NamedTuple):
@@ -87,6 +91,7 @@ class Workspace:
             given.source.check()
         files = given.source.files if given.source.given else []
         self.recordings = [file for file in files if file.suffix == RECORDING]
+        self.events = read_events(given.events) if given.events else []
         self.effects = OwnEffects(given.source.effect_files)
         self._temporary = None if given.folder else TemporaryDirectory(prefix="socast-models-")
         self.models = ModelTree(given.folder or Path(self._temporary.name if self._temporary else "."))
@@ -184,7 +189,8 @@ class Workspace:
             return known
         rides, windows = self.check_rides(node.model)
         version = self.tables.version
-        result = diagnose(rides, windows, node.model, dated=self.given.source.are_dated, report=report)
+        dated = self.given.source.are_dated
+        result = diagnose(rides, windows, node.model, events=self.events, dated=dated, report=report)
         self._diagnoses[node.model.version, version] = result
         return result
 
@@ -197,7 +203,7 @@ class Workspace:
         from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
 
         tables = self.tables
-        self._conditions[node.model.version, tables.version] = assess_condition(tables.rides, node.model)
+        self._conditions[node.model.version, tables.version] = assess_condition(tables.rides, node.model, self.events)
 
     def describe(self) -> dict[str, Any]:
         """Return what was given and read, for the head of every page."""

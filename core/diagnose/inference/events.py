@@ -11,22 +11,26 @@ from socast.core.errors import ModelError
 
 DATE: Final = "date"
 VEHICLE: Final = "vehicle_id"
-"""Columns of the file; the second one may be absent, and empty for an event of all cars."""
+WHAT: Final = "what"
+"""Columns of the file; the last two may be absent. A line without a car is an event of all cars."""
 
 
 def read_events(path: Path) -> list[KnownEvent]:
-    """Return the events of a CSV file with the columns `date`, the first UTC date after the event, and `vehicle_id`."""
+    """Return the events of a CSV file: `date`, the first UTC date after the event, `vehicle_id` and `what` happened."""
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
-        raise ModelError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{path} cannot be read as CSV ({reason}): give a file with a header line, and quote words with a comma"
+        ) from error
     if DATE not in table:
-        raise ModelError(f"{path} has no column {DATE!r}: its header line must be {DATE},{VEHICLE}")
-    vehicles = table[VEHICLE].tolist() if VEHICLE in table else [""] * len(table)
+        raise ModelError(f"{path} has no column {DATE!r}: its header line must be {DATE},{VEHICLE},{WHAT}")
+    columns = (table[name].tolist() if name in table else [""] * len(table) for name in (DATE, VEHICLE, WHAT))
     out = []
-    for row, (day, vehicle) in enumerate(zip(table[DATE].tolist(), vehicles, strict=True), start=2):
+    for row, (day, vehicle, what) in enumerate(zip(*columns, strict=True), start=2):
         try:
-            out.append(KnownEvent(date.fromisoformat(day.strip()).isoformat(), vehicle.strip()))
+            out.append(KnownEvent(date.fromisoformat(day.strip()).isoformat(), vehicle.strip(), " ".join(what.split())))
         except ValueError:
             raise ModelError(f"{path}, line {row}: the date is {day!r}; write it as 2023-05-05") from None
     return out

@@ -85,10 +85,13 @@ class KnownEvent(NamedTuple):
         First date after it. [UTC]
     vehicle : str
         The car; empty for all cars.
+    what : str
+        What happened, in the words of the file; empty where it says nothing.
     """
 
     date: str
     vehicle: str = ""
+    what: str = ""
 
 
 class Family(NamedTuple):

@@ -1,11 +1,15 @@
 """`socast condition` says in words, tables, JSON and a page how each car is doing."""
 
 import json
+from datetime import date
 
 import pandas as pd
 import pytest
+from msgspec.structs import replace
 
+from socast.core.condition.records import CarCondition, CarEvent
 from socast.core.models import EXTENDED_PHYSICAL
+from socast.tools.report.condition import ROW_PX, ROWS, draw_car
 from tests.support.commands import called, done, refused
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 
@@ -56,6 +60,73 @@ def test_report_has_a_row_and_a_figure_for_each_car(written):
     assert len(figures) == 5
     for figure in figures.values():
         assert_axes_are_titled(figure)
+
+
+@pytest.fixture(scope="module")
+def known(slower, tmp_path_factory):
+    """Return the printed text, the JSON and the page of the condition with known events."""
+    folder = tmp_path_factory.mktemp("known")
+    lines = [
+        "2018-11-10,taxi-002,<brakes>",
+        "2018-11-18,taxi-002,new tyres",
+        "2018-11-21,taxi-004,",
+        "2018-11-01,,update",
+    ]
+    (folder / "workshop.csv").write_text("\n".join(["date,vehicle_id,what", *lines, "2018-11-01,van,brakes"]))
+    given = "--events", folder / "workshop.csv", "--json", folder / "c.json", "--html", folder / "c.html"
+    printed, errors, code = called("condition", slower, "--model", EXTENDED_PHYSICAL.name, *given)
+    assert code == 0, errors
+    return " ".join(printed.split()), json.loads((folder / "c.json").read_text(encoding="utf-8")), folder / "c.html"
+
+
+def test_known_events_are_told_in_the_words_of_their_cars(known):
+    printed, result, _ = known
+    since = result["cars"][0]["consumption"]["steps"][0]["since"]
+    days = (date(2018, 11, 18) - date.fromisoformat(since)).days
+    assert f"new tyres on 18 November 2018, {days} days after the step" in printed
+    assert "with <brakes> on 10 November 2018)" in printed
+    assert "Known of taxi-004: event on 21 November 2018." in printed
+    assert "Known of all cars: update on 1 November 2018." in printed
+    assert "1 known event is of other cars, or outside the dates, and left out." in printed
+
+
+def test_known_events_are_in_the_json(known):
+    _, result, _ = known
+    first = result["cars"][0]
+    assert [each["what"] for each in first["events"]] == ["<brakes>", "new tyres"]
+    assert [each["date"] for each in first["consumption"]["steps"][0]["events"]] == ["2018-11-10"]
+    assert [each["what"] for each in result["events"]] == ["update"]
+    assert result["events_left_out"] == 1
+
+
+def test_known_events_are_marked_in_the_figures(known):
+    _, result, page = known
+    text = page.read_text(encoding="utf-8")
+    read_page(text)
+    figures = read_figures(text)
+    first = figures["figure-car-0"]["layout"]
+    assert {each["text"] for each in first["annotations"]} == {"<brakes>", "new tyres", "update"}
+    days = {each["x0"] for each in first["shapes"] if each["x0"] == each["x1"]}
+    assert days == {"2018-11-01", "2018-11-10", "2018-11-18"}
+    place = [car["vehicle_id"] for car in result["cars"]].index("taxi-001")
+    assert [each["text"] for each in figures[f"figure-car-{place}"]["layout"]["annotations"]] == ["update"]
+    assert "Known events" in text
+
+
+def test_many_events_leave_room_for_the_figure():
+    car = CarCondition(vehicle_id="a", vehicle_model="m", siblings=0)
+    events = [CarEvent(date=f"2018-11-{day:02}", what="a long story of a repair") for day in range(1, 29)]
+    figure = draw_car(replace(car, events=events))
+    lines = {shape.x0 for shape in figure.layout.shapes if shape.x0 == shape.x1}
+    assert len(lines) == 28
+    assert len(figure.layout.annotations) == ROWS
+    assert figure.layout.height == 280 + ROWS * ROW_PX
+
+
+def test_file_without_events_is_refused_before_the_rides_are_read(slower, tmp_path, capsys):
+    (tmp_path / "workshop.csv").write_text("day\n2018-11-01\n")
+    message = refused(capsys, "condition", slower, "--model", "m.json", "--events", tmp_path / "workshop.csv")
+    assert "no column 'date'" in message
 
 
 def test_json_goes_to_a_pipe(slower):

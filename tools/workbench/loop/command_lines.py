@@ -16,7 +16,8 @@ def compare_command(workspace: Workspace, nodes: Sequence[ModelNode], ride: str 
 
 def diagnose_command(workspace: Workspace, node: ModelNode) -> str:
     """Return the command that diagnoses a model."""
-    return shlex.join(["socast", "diagnose", *_data(workspace), *_models([node]), *_options(workspace)])
+    words = [*_data(workspace), *_models([node]), *_options(workspace), *_events(workspace)]
+    return shlex.join(["socast", "diagnose", *words])
 
 
 def add_command(
@@ -39,7 +40,10 @@ def add_command(
 def condition_commands(workspace: Workspace, node: ModelNode) -> list[str]:
     """Return the commands that tell how each car is doing, and where the energy goes."""
     words = [*_data(workspace), *_models([node]), *_options(workspace)]
-    return [shlex.join(["socast", name, *words]) for name in ("condition", "waterfall")]
+    return [
+        shlex.join(["socast", "condition", *words, *_events(workspace)]),
+        shlex.join(["socast", "waterfall", *words]),
+    ]
 
 
 def live_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:
@@ -85,6 +89,11 @@ def _models(nodes: Sequence[ModelNode]) -> list[str]:
 def _options(workspace: Workspace) -> list[str]:
     """Return the options with which a command reads the rides as the workbench does."""
     return workspace.given.source.list_options()
+
+
+def _events(workspace: Workspace) -> list[str]:
+    """Return the option that names the file of events."""
+    return ["--events", str(workspace.given.events)] if workspace.given.events else []
 
 
 def _effects(workspace: Workspace) -> list[str]:

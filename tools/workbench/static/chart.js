@@ -9,7 +9,8 @@
 //     area              between low and high over x
 //     points            y over x; `tints` (a colour of each), `size`, `tell(i)`, `pick(i)`, `faint` (a set of places)
 //     means             y over x with half widths `ci`; `tell(i)`, `pick(i)`
-//     rule              a line at `x` or `y`; span: a band between `from` and `to` along x
+//     rule              a line at `x` or `y`; `text` stands above a line at `x` where there is room
+//     span              a band between `from` and `to` along x
 //   square, height      size; a square chart has equal scales
 //   brush               function that receives {x: [low, high], y: [low, high]} or null
 //   hover               function that receives x, or null
@@ -19,6 +20,8 @@ import { el, svg } from "./dom.js";
 import { extent, linear, plain, ticks, tickTexts, token } from "./scales.js";
 
 const NEAR = 24; // pixels within which a pointer finds a point
+const ROW = 16; // height of a row of texts above the plot
+const MOST_ROWS = 3;
 let count = 0;
 
 export function chart(host, spec) {
@@ -77,12 +80,18 @@ class Chart {
     const left = spec.y.names ? Math.min(190, 0.4 * width) : 66;
     const right = 14;
     const bottom = 46;
-    const top = spec.heading ? 26 : 10;
+    let top = spec.heading ? 26 : 10;
     const wide = width - left - right;
     const high = spec.square ? Math.min(wide, spec.height ?? 620) : (spec.height ?? 300) - top - bottom;
     this.frame = { left, top, wide: spec.square ? high : wide, high };
-    const height = high + top + bottom;
     this.setScales();
+    const texts = this.placeTexts();
+    if (texts.length) {
+      top += ROW * (1 + Math.max(...texts.map(({ row }) => row)));
+      this.frame.top = top;
+      this.setScales();
+    }
+    const height = high + top + bottom;
     this.figure.replaceChildren();
     this.figure.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.figure.setAttribute("width", width);
@@ -97,6 +106,12 @@ class Chart {
     this.figure.append(body);
     this.drawCanvas(width, height);
     for (const layer of spec.layers) this.drawLayer(body, layer);
+    for (const { at, row, text, anchor } of texts) {
+      this.figure.append(
+        svg("line", { class: "axis", x1: at, x2: at, y1: top, y2: top - ROW * row - 14 }),
+        svg("text", { x: at + (anchor === "start" ? 4 : -4), y: top - 5 - ROW * row, "text-anchor": anchor }, text),
+      );
+    }
     if (spec.heading) this.figure.append(svg("text", { x: x0, y: 14, class: "title" }, spec.heading));
     this.cursor = svg("line", { class: "chart-cursor", y1: y0, y2: y0 + h, visibility: "hidden" });
     this.mark = svg("circle", { class: "chart-mark", r: 7, visibility: "hidden" });
@@ -104,6 +119,25 @@ class Chart {
     this.figure.append(this.cursor, this.selection, this.mark);
     if (spec.selected) this.showSelection(spec.selected);
     this.drawLegend();
+  }
+
+  // Texts of vertical rules, in rows from the plot upwards; one without room in any row is left out. The rightmost text
+  // is lowest, so that the lines of the others pass to the left of it.
+  placeTexts() {
+    const rows = Array.from({ length: MOST_ROWS }, () => []);
+    const rules = this.spec.layers.filter((layer) => layer.type === "rule" && layer.text);
+    return rules.sort((a, b) => b.x - a.x).flatMap((layer) => {
+      const at = this.x(layer.x);
+      const free = Math.floor((this.width - at - 8) / 6.6);
+      const fits = free >= Math.min(10, layer.text.length);
+      const text = short(layer.text, fits ? Math.min(free, 26) : 26);
+      const broad = 6.6 * text.length + 8;
+      const low = fits ? at : at - broad;
+      const row = rows.findIndex((taken) => taken.every(([from, to]) => low >= to || low + broad <= from));
+      if (row < 0) return [];
+      rows[row].push([low, low + broad]);
+      return [{ at, row, text, anchor: fits ? "start" : "end" }];
+    });
   }
 
   setScales() {
@@ -363,8 +397,9 @@ class Chart {
     this.figure.classList.remove("pickable");
   }
 
-  setCursor(x) {
+  setCursor(x, strong = false) {
     if (!this.cursor) return;
+    this.cursor.classList.toggle("strong", strong);
     const known = x !== null && x >= this.domains.x[0] && x <= this.domains.x[1];
     this.cursor.setAttribute("visibility", known ? "visible" : "hidden");
     if (!known) return;

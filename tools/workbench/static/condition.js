@@ -4,9 +4,11 @@ import { chart } from "./chart.js";
 import { el } from "./dom.js";
 import { count, number, quantity, signed } from "./format.js";
 import { command, fill, getReady, heading, modelChoice, openWorkspace, put, query } from "./loop.js";
+import { extent } from "./scales.js";
 
 const SHOWN = 12;
 const DAY_MS = 86400000;
+const CLEAR = "As expected, within the interval.";
 const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 
 export function mount(root, first, context) {
@@ -38,8 +40,11 @@ export function mount(root, first, context) {
     const host = el("div", { class: "facets" });
     const add = (from) => cars.slice(from, shown).forEach((car) => {
       const place = el("div", {});
-      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || "As expected, within the interval.")));
-      plots.push(chart(place, describeTrend(car)));
+      const list = el("div", {});
+      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || CLEAR), list));
+      const plot = chart(place, describeTrend(car));
+      plots.push(plot);
+      if (car.events.length) list.append(listEvents(car, plot));
     });
     const more = cars.length > shown && el("button", { type: "button", onclick: () => {
       const from = shown;
@@ -69,7 +74,9 @@ function about({ rides, car_days: days, first_date: first, last_date: last, day_
 
 function describeTrend(car) {
   const parts = [[car.consumption, "--blue", "consumption"], [car.capacity, "--vermilion", "usable capacity"]].filter(([trend]) => trend);
-  const layers = [{ type: "rule", y: 0 }];
+  const events = car.events.map(({ date, what }) => ({ type: "rule", x: toDay(date), text: what, colour: "--ink-soft", dash: "2 3" }));
+  const dates = [...parts.flatMap(([trend]) => trend.dates), ...car.events.map(({ date }) => date)];
+  const layers = [{ type: "rule", y: 0 }, ...events];
   for (const [trend, colour, name] of parts) {
     const x = trend.dates.map(toDay);
     const half = trend.path_sd_pct.map((sd) => 1.96 * sd);
@@ -81,12 +88,22 @@ function describeTrend(car) {
   }
   return {
     title: `Condition of ${car.vehicle_id}`,
-    summary: car.words || "As expected, within the interval.",
+    summary: [car.words || CLEAR, ...car.events.map(({ words }) => `Known: ${words}.`)].join(" "),
     height: 230,
-    x: { label: "Date", unit: "UTC", marks: markDates(parts.flatMap(([trend]) => trend.dates)) },
+    x: { label: "Date", unit: "UTC", marks: markDates(dates), domain: events.length && dates.length ? extent([dates.map(toDay)]) : undefined },
     y: { label: "Beside expected", unit: "%" },
     layers,
   };
+}
+
+// The known events of a car as buttons; one that has the focus or the pointer is marked in the chart.
+function listEvents(car, plot) {
+  const show = (day) => () => plot.setCursor(day, day !== null);
+  const button = ({ date, words }) => {
+    const [mark, unmark] = [show(toDay(date)), show(null)];
+    return el("button", { type: "button", onfocus: mark, onclick: mark, onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, words);
+  };
+  return el("ul", { class: "events", "aria-label": `Known events of ${car.vehicle_id}` }, car.events.map((event) => el("li", {}, button(event))));
 }
 
 const toDay = (iso) => Date.parse(iso) / DAY_MS;

@@ -41,10 +41,22 @@ def own(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def server(own):
+def events(tmp_path_factory):
+    """A file with a known event of one car and one of all cars."""
+    file = tmp_path_factory.mktemp("events") / "workshop.csv"
+    file.write_text("date,vehicle_id,what\n2018-11-20,taxi-002,new tyres\n2018-11-01,,update\n", encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def server(own, events):
     """A workbench that reads the recording while the first page opens, with a model that is quickly refitted."""
     workspace = Workspace(
-        Given(RideSource((ROOT / "recordings/autumn.mcap",), effect_files=(own,)), models=("extended_physical",))
+        Given(
+            RideSource((ROOT / "recordings/autumn.mcap",), effect_files=(own,)),
+            models=("extended_physical",),
+            events=events,
+        )
     )
     workbench = Workbench(workspace, Jobs())
     workbench.jobs.start("reading the rides", workspace.open)
@@ -222,6 +234,26 @@ def test_condition_describes_each_car_and_where_the_energy_goes(visit):
     assert "unexplained" in page.get_by_role("region", name="Where the energy goes").inner_text()
     page.get_by_text("socast condition").wait_for(state="attached")
     page.get_by_text("socast waterfall").wait_for(state="attached")
+
+
+def test_known_events_are_marked_in_the_charts_and_reached_by_keyboard(visit):
+    page = visit.page
+    visit.go("#/condition")
+    of_car = page.get_by_role("list", name="Known events of taxi-002")
+    of_car.wait_for()
+    assert of_car.get_by_role("button").all_inner_texts()[0] == "update on 1 November 2018 (all cars)"
+    assert page.locator(".facets .events").count() == 5
+    chart = page.get_by_role("group", name="Condition of taxi-002")
+    assert "Known: new tyres on 20 November 2018" in chart.get_attribute("aria-label")
+    assert {"update", "new tyres"} <= set(chart.locator("text").all_text_contents())
+    of_car.get_by_role("button").nth(0).focus()
+    page.keyboard.press("Tab")
+    assert "new tyres" in page.evaluate("() => document.activeElement.textContent")
+    assert chart.locator(".chart-cursor.strong").get_attribute("visibility") == "visible"
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Shift+Tab")
+    assert chart.locator(".chart-cursor.strong").count() == 0
+    page.get_by_text("--events").first.wait_for(state="attached")
 
 
 def test_own_effect_is_read_again_when_its_file_changes(visit, own):

@@ -144,6 +144,23 @@ def test_condition_is_assessed_once_for_each_model_and_adds_up(workspace, base):
     parts = sum(share["energy_kwh"]["value"] for share in record["energy"]["shares"])
     assert parts == pytest.approx(record["energy"]["measured"]["energy_kwh"]["value"])
     assert [shlex.split(each)[1] for each in record["commands"]] == ["condition", "waterfall"]
+    assert all(car["events"] == [] for car in record["cars"])
+
+
+def test_known_events_are_in_the_record_of_their_car_and_in_the_commands(tmp_path, autumn_tables):
+    file = tmp_path / "workshop.csv"
+    file.write_text("date,vehicle_id,what\n2018-11-20,taxi-002,\n2018-11-01,,update\n")
+    opened = Workspace(Given(RideSource((autumn_tables,)), ("extended_physical",), events=file))
+    opened.open()
+    node = opened.get_node()
+    opened.assess_condition(node)
+    record = condition.describe_condition(opened, node, opened.find_condition(node))
+    events = {car["vehicle_id"]: [each["words"] for each in car["events"]] for car in record["cars"]}
+    assert events["taxi-001"] == ["update on 1 November 2018 (all cars)"]
+    assert events["taxi-002"] == ["update on 1 November 2018 (all cars)", "event on 20 November 2018"]
+    assert f"--events {file}" in record["commands"][0]
+    assert "--events" not in record["commands"][1]
+    opened.close()
 
 
 def test_any_candidate_shows_its_partial_residual(workspace, base):
