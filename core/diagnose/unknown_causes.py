@@ -8,7 +8,6 @@ from msgspec.structs import replace
 
 from socast.core import effects
 from socast.core.batch import Floats
-from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file, list_symbols
 from socast.core.diagnose.forms.terms import FormTerm
@@ -54,35 +53,37 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
 
     An effect of the library that would need an implausible coefficient stands for such a cause.
     """
-    out = []
-    every: tuple[LikelyCause | ExpectedCause, ...] = (*inference.findings, *inference.expected)
-    for one in every:
-        form = one.form if isinstance(one, LikelyCause) else None
-        if not one.is_supported or (form is None and one.is_plausible):
-            continue
-        size = one.size.estimate
-        share = float(np.abs(one.column).sum() / seen.measured.sum())
-        low, high = size.interval
-        cause = UnknownCause(
-            formula=_word_implausible(one),
-            probability=one.probability,
-            energy_share=share * size.value,
-            energy_share_ci95=make_interval(share * low, share * high),
-            coefficient=EstimatedCoefficient(value=size.value, ci95=make_interval(low, high), unit=derive_unit(form))
-            if form is not None
-            else describe_coefficient(effects.get(one.effect), size),
-            resembles=one.effect if form is None else find_resembling(form, one.column, inference.columns),
+    out = [
+        replace(
+            _describe_size(seen, one, one.variant, derive_unit(one.form)),
+            resembles=find_resembling(one.form, one.column, inference.columns),
+            forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
+            symbols=list_symbols(one.form),
+            file=format_source_file(one.form, one.size.estimate.value, len(seen.measured)),
         )
-        if form is not None and isinstance(one, LikelyCause):
-            cause = replace(
-                cause,
-                formula=one.variant,
-                forms={formula: part for formula, part in one.forms.items() if part >= REMAINING},
-                symbols=list_symbols(form),
-                file=format_source_file(form, size.value, len(seen.measured)),
-            )
-        out.append(cause)
+        for one in inference.findings
+        if one.form is not None and one.is_supported
+    ]
+    library: list[LikelyCause | ExpectedCause] = [*inference.findings, *inference.expected]
+    for each in library:
+        if each.is_supported and not each.is_plausible:
+            cause = _describe_size(seen, each, _word_implausible(each), effects.get(each.effect).unit)
+            out.append(replace(cause, resembles=each.effect))
     return sorted(out, key=lambda cause: -(cause.probability or 0.0))
+
+
+def _describe_size(seen: Windows, one: LikelyCause | ExpectedCause, formula: str, unit: str) -> UnknownCause:
+    """Return the record of a cause with its probability, its share of the energy and its coefficient."""
+    size = one.size.estimate
+    share = float(np.abs(one.column).sum() / seen.measured.sum())
+    low, high = size.interval
+    return UnknownCause(
+        formula=formula,
+        probability=one.probability,
+        energy_share=share * size.value,
+        energy_share_ci95=make_interval(share * low, share * high),
+        coefficient=EstimatedCoefficient(value=size.value, ci95=make_interval(low, high), unit=unit),
+    )
 
 
 def _word_implausible(one: LikelyCause | ExpectedCause) -> str:

@@ -159,7 +159,7 @@ def test_diagnosis_of_leaf_ranks_cabin_heating_first():
 
 
 def test_diagnosis_of_i3_ranks_cabin_heat_first():
-    """Warming up after parking and heating by temperature are named, which is the goal.
+    """Heating by temperature is named; warming up after parking is named, or told as a form that resembles it.
 
     No effect has the shape of this heater exactly. It took 3.9 kW over the first five minutes, 1.5 kW over the next
     five, then 1.2 kW, as measured at 3 to 9 °C outside. With 17 dates of one car, the effects that heat the cabin are
@@ -170,7 +170,9 @@ def test_diagnosis_of_i3_ranks_cabin_heat_first():
     assert {row.effect for row in best} == CABIN
     assert all(row.z > 2.1 for row in best)
     assert max(row.z for row in best) > 2.9
-    assert {"cabin_heating", "cabin_warmup"} <= {one.effect for one in diagnosis.missing}
+    named = {one.effect for one in diagnosis.missing}
+    assert "cabin_heating" in named
+    assert "cabin_warmup" in named | {one.resembles for one in diagnosis.unknown}
     assert diagnosis.verdict in CABIN
     assert diagnosis.missing[0].coefficient.plausible
 

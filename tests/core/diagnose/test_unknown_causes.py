@@ -48,4 +48,4 @@ def test_effect_of_implausible_size_is_something_else_that_resembles_it():
     windows, _, inference = infer(make_tables(make_windows(4, 14, 2, 6), {"headwind": 0.06}, of_day=0.01))
     (cause,) = describe_unknown(windows, inference)
     assert cause.formula == f"headwind at {cause.coefficient.value / 1.6:.1f} times its largest plausible coefficient"
-    assert (cause.resembles, cause.coefficient.plausible, cause.file) == ("headwind", False, "")
+    assert (cause.resembles, cause.coefficient.unit, cause.file) == ("headwind", "m^2", "")
