@@ -82,14 +82,20 @@ def test_tokens_of_a_stranger_whose_caches_never_answer_delay_nobody_else():
 def test_samples_lost_on_the_way_are_asked_for_and_come_in_their_order():
     got: dict[str, list[int]] = {}
     random, lost = Random(1), list[str]()
+    heard = Event()
 
     def take(messages):
         for each in messages:
-            got.setdefault(each.key, []).append(int(each.payload))
+            if each.key == first.key:
+                heard.set()
+            else:
+                got.setdefault(each.key, []).append(int(each.payload))
 
     with RouterProcess() as router, router.join() as node, router.join() as taxi:
-        sink = ZenohSink(taxi)
+        sink, first = ZenohSink(taxi), Message("fleet/first/telemetry", b"0", 0)
         with consuming(node, take) as source:
+            while not heard.wait(0.1):  # until the publisher knows that somebody listens
+                sink.put([first])
             receive = source._receiver._receive
 
             def lose(most):
@@ -102,7 +108,8 @@ def test_samples_lost_on_the_way_are_asked_for_and_come_in_their_order():
             for number in range(50):
                 sink.put([Message(f"fleet/{car}/telemetry", b"%d" % number, 0) for car in range(20)])
                 time.sleep(0.01)
-            assert eventually(lambda: sum(len(set(numbers)) for numbers in got.values()) == 20 * 50)
+            whole = eventually(lambda: sum(len(set(numbers)) for numbers in got.values()) == 20 * 50)
+            assert whole, {key: sorted(set(range(50)) - set(numbers)) for key, numbers in got.items()}
             assert source.missed == 0
         sink.close()
     assert len(lost) > 100
