@@ -192,7 +192,7 @@ def _diagnose(
         credible_set=list_credible(missing[0].causes) if missing else [NONE],
         further=_list_remaining(inference, missing) if missing else [],
         further_credible_set=[NONE] if missing else [],
-        unknown=describe_unknown(seen, inference),
+        unknown=describe_unknown(seen, inference, dated=dated),
         steps=compute_steps(selection.on(base), floor),
         profiles=profile_residual(named),
         deviations=describe_deviations(seen, inference, dated=dated),

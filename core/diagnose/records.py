@@ -318,7 +318,7 @@ class ErrorLocation(Record, frozen=True):
 
 
 class UnknownCause(Record, frozen=True):
-    """Hold something that is missing in all cars and not in the library, by the form that fits best."""
+    """Hold what is missing and not in the library: a form in all cars, or what an implausible effect stands for."""
 
     formula: Annotated[
         str, declare("Power of the form that fits best, or an effect with an implausible coefficient.", "form")

@@ -48,10 +48,15 @@ MOTION: Final = frozenset({*LOADS, "acceleration", "air_density", "dt", "mass", 
 """Signals that belong to the load and not to the conditions."""
 
 
-def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
+def describe_unknown(seen: Windows, inference: Inference, *, dated: bool) -> list[UnknownCause]:
     """Return the records of the likely causes outside the library, the most probable first.
 
     An effect of the library that would need an implausible coefficient stands for such a cause.
+
+    Parameters
+    ----------
+    dated : bool
+        Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date.
     """
     out = [
         replace(
@@ -64,7 +69,8 @@ def describe_unknown(seen: Windows, inference: Inference) -> list[UnknownCause]:
         for one in inference.findings
         if one.form is not None and one.is_supported
     ]
-    library: list[LikelyCause | ExpectedCause] = [*inference.findings, *inference.expected]
+    kept = [one for one in inference.findings if dated or one.when.since is None]
+    library: list[LikelyCause | ExpectedCause] = [*kept, *inference.expected]
     for each in library:
         if each.is_supported and not each.is_plausible:
             cause = _describe_size(seen, each, _word_implausible(each), effects.get(each.effect).unit)

@@ -46,6 +46,14 @@ def test_form_resembles_effect_of_the_same_load_and_condition(seen, carrier, var
 
 def test_effect_of_implausible_size_is_something_else_that_resembles_it():
     windows, _, inference = infer(make_tables(make_windows(4, 14, 2, 6), {"headwind": 0.06}, of_day=0.01))
-    (cause,) = describe_unknown(windows, inference)
+    (cause,) = describe_unknown(windows, inference, dated=True)
     assert cause.formula == f"headwind at {cause.coefficient.value / 1.6:.1f} times its largest plausible coefficient"
     assert (cause.resembles, cause.coefficient.unit, cause.file) == ("headwind", "m^2", "")
+
+
+def test_implausible_change_is_told_with_car_and_date_unless_dates_are_invented():
+    planted = {"roof_load vehicle=taxi-1 since=2018-05-17": 0.6}
+    windows, _, inference = infer(make_tables(make_windows(4, 14, 2, 6), planted, of_day=0.01))
+    told = [cause.formula for cause in describe_unknown(windows, inference, dated=True)]
+    assert any("in taxi-1 since 2018-05-17 at" in formula for formula in told)
+    assert not any("since" in cause.formula for cause in describe_unknown(windows, inference, dated=False))
