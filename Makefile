@@ -39,7 +39,7 @@ demo: $(RUNS)  ## a shift of several cars, live over Zenoh, in this terminal
 	$(BIN)/socast demo
 
 test: $(INSTALLED)  ## the whole test suite, in parallel
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --max-worker-restart 0
 
 check: lint types examples docs  ## all of the four; `make -j2 check` runs them beside each other
 

@@ -18,6 +18,10 @@ from tests.support.zenoh_sessions import eventually, router
 SAMPLE = {"vehicle_id": "a", "time_s": 1.7e9, "speed_kmh": 30.0, "note": "x" * 300}
 
 
+NO_CACHES = {"recovery": False}
+"""Settings of a node that asks no caches: what these answer late comes a second time, beside the live samples."""
+
+
 def make_lists(count: int) -> list[Message]:
     """Return lists of 1 MB."""
     samples = [SAMPLE | {"seq": seq} for seq in range(2600)]
@@ -93,7 +97,7 @@ def test_every_message_after_a_stop_is_yielded_or_counted_as_dropped(monkeypatch
 
 def test_full_queue_is_told_and_nothing_is_lost(caplog):
     sent, stop = make_lists(20), Event()
-    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+    with router(**NO_CACHES) as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
         source = ZenohSource(node, stop, queue_bytes=2e6)
         sink = ZenohSink(client)
         assert eventually(sink.has_subscriber)
@@ -112,7 +116,7 @@ def test_full_queue_is_told_and_nothing_is_lost(caplog):
 
 def test_channels_hold_few_large_lists_while_the_queue_is_full(caplog):
     count, stop, sent = 400, Event(), []
-    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+    with router(**NO_CACHES) as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
         source = ZenohSource(node, stop, queue_bytes=2e6)
         sink = ZenohSink(client)
         assert eventually(sink.has_subscriber)
@@ -123,9 +127,8 @@ def test_channels_hold_few_large_lists_while_the_queue_is_full(caplog):
                 sent.append(number)
 
         thread, got = Thread(target=publish), 0
+        thread.start()
         for messages in source:
-            if thread.ident is None and not source.is_catching_up:
-                thread.start()
             if messages and not got:
                 assert eventually(lambda: "the consumer is behind" in caplog.text)
                 time.sleep(2.0)
