@@ -7,8 +7,8 @@ therefore add up to the measured energy, in every group of rides.
 The distance of a part is its energy over the present mean consumption. The distances therefore add up to that driven.
 """
 
-from collections.abc import Mapping
-from math import isfinite, sqrt
+from collections.abc import Mapping, Sequence
+from math import inf, isfinite, sqrt
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -32,10 +32,16 @@ from socast.core.records import Record, declare
 from socast.core.stats.clustered import compute_clustered_ratio
 from socast.core.stats.scores import NORMAL_95
 
+FLEET: Final = "fleet"
+"""Way to group rides that leaves them together."""
 GROUP_COLUMNS: Final[Mapping[str, str]] = MappingProxyType(
-    {"fleet": "", "car": VEHICLE, "month": "date", "driver": "driver_id", "model": VEHICLE_MODEL}
+    {"car": VEHICLE, "month": "date", "driver": "driver_id", "model": VEHICLE_MODEL, "speed": "average_speed_kmh"}
 )
-"""Ways to group rides -> the column of the ride table; empty for all rides together."""
+"""Other ways to group rides -> the column of the ride table."""
+SPEED_CLASSES: Final[Mapping[float, str]] = MappingProxyType(
+    {20.0: "0 to 20 km/h", 40.0: "20 to 40 km/h", 60.0: "40 to 60 km/h", inf: "60 km/h and more"}
+)
+"""Mean speed, stops included, below which a ride belongs to a class -> name of the class. [km/h]"""
 UNKNOWN_GROUP: Final = "unknown"
 LIMIT: Final = "limit of the prediction"
 """Name of the part that the limit of a model takes away from its terms."""
@@ -132,7 +138,7 @@ class EnergySplit(Record, frozen=True, kw_only=True):
 
     model: Annotated[str, declare("Name of the model.")]
     version: Annotated[str, declare("Version of the model.")]
-    by: Annotated[str, declare("How rides are grouped: `fleet`, `car`, `month`, `driver` or `model`.")]
+    by: Annotated[str, declare("How rides are grouped: `fleet`, or ways such as `car`, separated by commas.")]
     price: Annotated[float | None, declare("Price of energy. [price/kWh]")]
     read: Annotated[int, declare("Number of rides read.")]
     left_out: Annotated[dict[str, int], declare("Reason -> number of rides left out.")]
@@ -198,14 +204,14 @@ class _Scale(NamedTuple):
 
 
 def split_energy(
-    rides: pd.DataFrame, model: LinearModel, *, by: str = "fleet", price: float | None = None
+    rides: pd.DataFrame, model: LinearModel, *, by: str = FLEET, price: float | None = None
 ) -> EnergySplit:
     """Return where the measured energy of rides went, by the terms of a model.
 
     Parameters
     ----------
     by : str
-        One of `GROUP_COLUMNS`.
+        `FLEET`, or one or several of `GROUP_COLUMNS`, separated by commas.
     price : float, optional
         Price of energy in any currency. [price/kWh]
 
@@ -216,19 +222,18 @@ def split_energy(
     SettingsError
         For an unknown way to group, and a price that is not 0 or above.
     """
-    if by not in GROUP_COLUMNS:
-        raise SettingsError(f"rides cannot be grouped by {by!r}: choose from {', '.join(GROUP_COLUMNS)}")
+    ways = parse_ways(by)
     if price is not None and not (isfinite(price) and price >= 0.0):
         raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
     chosen = select_rides(rides, {model.name: model})
-    names = _name_groups(chosen.rides, by)
+    names = _name_groups(chosen.rides, ways)
     parts, uncertainty = _split_predictions(model, chosen), _find_uncertainty(model, chosen.rides)
     everything = np.ones(len(names), np.bool_)
-    fleet = _sum_group("fleet", everything, chosen, parts, uncertainty, price)
+    fleet = _sum_group(FLEET, everything, chosen, parts, uncertainty, price)
     order = [share.name for share in fleet.shares]
     groups = [
         _sum_group(name, names == name, chosen, parts, uncertainty, price, order)
-        for name in (sorted(set(names)) if by != "fleet" else ())
+        for name in (sorted(set(names)) if ways else ())
     ]
     scale = _Scale(fleet.measured.energy_kwh.value or 0.0, fleet.distance_km, price)
     savings, impossible = list[EnergySaving](), list[str]()
@@ -238,7 +243,7 @@ def split_energy(
     return EnergySplit(
         model=model.name,
         version=model.version,
-        by=by,
+        by=",".join(ways) or FLEET,
         price=price,
         read=chosen.read,
         left_out=chosen.left_out,
@@ -253,15 +258,44 @@ def split_energy(
     )
 
 
-def _name_groups(rides: pd.DataFrame, by: str) -> NDArray[np.object_]:
+def parse_ways(by: str) -> tuple[str, ...]:
+    """Return the ways to group rides that a text names, each once; none for all rides together.
+
+    Examples
+    --------
+    >>> parse_ways("car,month"), parse_ways("fleet")
+    (('car', 'month'), ())
+    """
+    ways = tuple(dict.fromkeys(each.strip() for each in by.split(",")))
+    for way in ways:
+        if way not in GROUP_COLUMNS and ways != (FLEET,):
+            raise SettingsError(
+                f"rides cannot be grouped by {way!r}: give {FLEET}, or one or several of {', '.join(GROUP_COLUMNS)}, "
+                "separated by commas"
+            )
+    return () if ways == (FLEET,) else ways
+
+
+def _name_groups(rides: pd.DataFrame, ways: Sequence[str]) -> NDArray[np.object_]:
     """Return the group of each ride."""
-    column = GROUP_COLUMNS[by]
-    if not column:
-        return np.full(len(rides), by, dtype=object)
+    if not ways:
+        return np.full(len(rides), FLEET, dtype=object)
+    return np.array([", ".join(each) for each in zip(*(_name_by(rides, way) for way in ways), strict=True)], object)
+
+
+def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
+    """Return the group of each ride by one way."""
+    column = GROUP_COLUMNS[way]
     if column not in rides or rides[column].isna().all():
-        raise ModelError(f"rides cannot be grouped by {by}: column {column!r} is unknown in all of them; group by car")
-    names = rides[column].astype(object).where(rides[column].notna(), UNKNOWN_GROUP).astype(str)
-    return (names.str[:7] if by == "month" else names).to_numpy(dtype=object)
+        raise ModelError(f"rides cannot be grouped by {way}: column {column!r} is unknown in all of them; group by car")
+    names = rides[column].astype(object).astype(str)
+    if way == "month":
+        names = names.str[:7]
+    elif way == "speed":
+        above = np.searchsorted(list(SPEED_CLASSES), rides[column].to_numpy(dtype=np.float64), side="right")
+        classes = np.array([*SPEED_CLASSES.values(), UNKNOWN_GROUP], dtype=object)
+        names = pd.Series(classes[above], rides.index)
+    return list(names.where(rides[column].notna(), UNKNOWN_GROUP))
 
 
 def _split_predictions(model: LinearModel, chosen: ComparedRides) -> dict[str, Floats]:

@@ -1,11 +1,11 @@
 """`socast waterfall`: split the measured energy of rides into the terms of a model and what it does not explain."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from socast.core import models
-from socast.core.condition.energy_split import split_energy
+from socast.core.condition.energy_split import FLEET, GROUP_COLUMNS, parse_ways, split_energy
 from socast.tools.terminal.output import HtmlFile, JsonFile, ModelName, write_json
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
@@ -17,9 +17,13 @@ def show_waterfall(
     source: RideSource,
     model: ModelName,
     by: Annotated[
-        Literal["fleet", "car", "month", "driver", "model"],
-        typer.Option(help="Also split the energy of each car, month, driver or vehicle model."),
-    ] = "fleet",
+        str,
+        typer.Option(
+            metavar="WAY",
+            help="Also split the energy of each car, month, driver, vehicle model or class of the mean speed: "
+            f"{', '.join(GROUP_COLUMNS)}. Several, separated by commas, split that of each combination.",
+        ),
+    ] = FLEET,
     price: Annotated[float | None, typer.Option(metavar="PRICE", help="Price of a kWh, in any currency.")] = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -35,6 +39,7 @@ def show_waterfall(
     socast waterfall recordings/shift.mcap --model extended_physical --by car --price 0.12
     socast waterfall tables --model fitted.json --by month --json - | jq .groups
     """
+    parse_ways(by)
     source.check(json_file, html_file, models=[model])
     chosen = models.load(model)
     with source.open_tables(chosen.effects) as opened:

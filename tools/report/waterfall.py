@@ -160,7 +160,9 @@ def build_sections(result: EnergySplit) -> list[Section]:
 
 
 def _name_grouping(by: str) -> str:
-    return "vehicle model" if by == "model" else by
+    """Return the ways to group rides, in words."""
+    words = {"model": "vehicle model", "speed": "mean speed"}
+    return ", ".join(words.get(way, way) for way in by.split(","))
 
 
 def _describe_rides(result: EnergySplit) -> str:

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from socast.core.condition.energy_split import (
     DRIVEN_SLOWER,
+    FLEET,
     GROUP_COLUMNS,
     LIKE_SIBLINGS,
     LIMIT,
@@ -53,7 +54,7 @@ def with_drivers(table):
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(GROUP_COLUMNS)))
+@given(st.integers(0, 2**32 - 1), st.sampled_from([FLEET, *sorted(GROUP_COLUMNS), "car,month", "speed,driver,model"]))
 def test_parts_add_up_to_measured_energy_in_every_group(seed, by):
     table = with_drivers(planted(80, seed))
     result = split_energy(table, with_everything(), by=by)
@@ -145,10 +146,13 @@ def test_price_is_that_of_the_energy():
     assert {share.cost for share in unpriced.shares} == {None}
 
 
-def test_groups_are_named_by_car_month_driver_and_vehicle_model():
-    table = with_drivers(planted(120))
-    names = {by: [group.name for group in split_energy(table, EXTENDED_PHYSICAL, by=by).groups] for by in GROUP_COLUMNS}
-    assert names["fleet"] == []
+def test_groups_are_named_by_car_month_driver_vehicle_model_and_speed():
+    table = with_drivers(planted(120)).assign(average_speed_kmh=[19.9, 20.0, np.nan, 60.0] * 30)
+    ways = (FLEET, *GROUP_COLUMNS, "speed, car")
+    names = {by: [group.name for group in split_energy(table, EXTENDED_PHYSICAL, by=by).groups] for by in ways}
+    assert names[FLEET] == []
+    assert names["speed"] == ["0 to 20 km/h", "20 to 40 km/h", "60 km/h and more", "unknown"]
+    assert set(names["speed, car"]) <= {f"{speed}, {car}" for speed in names["speed"] for car in names["car"]}
     assert names["car"] == sorted(set(table["vehicle_id"]))
     assert names["month"] == sorted(set(table["date"].str[:7]))
     assert names["driver"] == ["d1", "d2", "unknown"]
@@ -238,7 +242,13 @@ def test_record_survives_json():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"by": "colour"}, SettingsError, "'colour': choose from fleet, car, month, driver, model"),
+        (
+            {"by": "colour"},
+            SettingsError,
+            "'colour': give fleet, or one or several of car, month, driver, model, speed",
+        ),
+        ({"by": "fleet,car"}, SettingsError, "'fleet': give fleet, or one"),
+        ({"by": "car,"}, SettingsError, "'': give fleet, or one"),
         ({"price": -0.1}, SettingsError, "is -0.1, and must be 0 or above"),
         ({"price": float("nan")}, SettingsError, "is nan"),
         ({"by": "driver"}, ModelError, "'driver_id' is unknown in all of them; group by car"),
