@@ -134,6 +134,7 @@ def diagnose_rides(
     loaded = models.load(model)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
+    known = read_events(events) if events else []
     with source.open_tables(loaded.effects, place) as made:
         table, windows = read_tables(made, loaded)
     if first_day is not None:
@@ -146,13 +147,12 @@ def diagnose_rides(
             soft_wrap=True,
         )
     if condition:  # first, because it needs fewer rides
-        print_plain(console, _assess(table, loaded, condition))
+        print_plain(console, _assess(table, loaded, condition, known))
     if auto and out is not None:
         loaded, result = _auto(loaded, table, windows, least_gain, console, dated=dated)
         models.save(loaded, out)
     else:
         of_vehicle = read_groups(groups) if groups else None
-        known = read_events(events) if events else []
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle, known, dated=dated)
         result = insert_commands(result, model, source)
         if findings:
@@ -253,10 +253,10 @@ def parse_term(entry: NamedEffect | CarDeviation) -> tuple[str, list[str]]:
     return names[0], list_scope(entry.columns)
 
 
-def _assess(rides: pd.DataFrame, model: LinearModel, path: Path) -> str:
+def _assess(rides: pd.DataFrame, model: LinearModel, path: Path, events: Sequence[KnownEvent]) -> str:
     """Write the condition of the cars, and return what was written, or why it cannot be told."""
     try:
-        return f"condition of {format_count(write_condition(path, rides, model), 'car')} in {path}"
+        return f"condition of {format_count(write_condition(path, rides, model, events), 'car')} in {path}"
     except ModelError as error:
         return f"no condition of the cars: {error}"
 

@@ -14,7 +14,7 @@ from socast.tools.terminal.forecast_options import ForecastOptions, insert_forec
 from socast.tools.terminal.live_options import RecordingOptions, insert_limit_options, insert_recording_options
 from socast.tools.terminal.live_service import LiveOptions, serve
 from socast.tools.terminal.option_groups import insert_options
-from socast.tools.terminal.output import make_console, refuse
+from socast.tools.terminal.output import EventsFile, make_console, refuse
 from socast.tools.terminal.settings_file import SettingsFile
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 
@@ -66,6 +66,7 @@ def live(
         Path | None,
         typer.Option(metavar="FILE", help="Diagnose the first model every night on --record, and keep findings here."),
     ] = None,
+    events: EventsFile = None,
     report: Annotated[
         float,
         typer.Option(
@@ -122,7 +123,7 @@ def live(
     ignored where the file of --state exists.
 
     With --watch, `socast diagnose` runs after every midnight UTC in a process of its own, on all recordings of
-    --record. What it becomes sure of is logged, and published under findings/WHO/EFFECT.
+    --record. What it becomes sure of is logged, and published under findings/WHO/EFFECT. --events is read every night.
 
     Examples
     --------
@@ -146,6 +147,6 @@ def live(
         ),
     )
     of_fleet = None if shard is None else parse_shard(shard, shard_by)
-    kept = connection, options.find_models(recording.folder), limits, recording, state, watch
+    kept = connection, options.find_models(recording.folder), limits, recording, state, watch, events
     zone = find_zone(time_zone, make_console())
     serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet, zone))

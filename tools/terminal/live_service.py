@@ -111,6 +111,8 @@ class LiveOptions:
         How to reach the router, without a prefix.
     watch : Path, optional
         File of the findings of the nightly diagnosis.
+    events : Path, optional
+        File of the known events that this diagnosis reads.
     report_s : float
         Time between two log lines of counters. [s]
     metrics_per_car : bool
@@ -129,6 +131,7 @@ class LiveOptions:
     recording: RecordingOptions
     state: Path | None = None
     watch: Path | None = None
+    events: Path | None = None
     report_s: float = REPORT_S
     metrics: str | None = None
     metrics_per_car: bool = False
@@ -182,7 +185,7 @@ def serve(options: LiveOptions) -> None:
 
 def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     """Take the locks, compile the kernels, load the state, and connect; return the parts."""
-    check_watch(options.forecast, options.recording.folder, options.watch)
+    check_watch(options.forecast, options.recording.folder, options.watch, options.events)
     connection = _make_connection(options)
     models = load_models(options.forecast.models)
     monitor = ending.enter_context(ServiceMonitor(options.metrics, str(options.shard or "")))
@@ -318,7 +321,7 @@ def _add_watches(
     nightly = None
     if options.recording.folder and options.watch:
         nightly = make_nightly_diagnosis(
-            options.forecast, parts.pipeline, parts.sink, options.recording.folder, options.watch
+            options.forecast, parts.pipeline, parts.sink, options.recording.folder, options.watch, options.events
         )
         ending.callback(nightly.end)
     take = SnapshotTaker(

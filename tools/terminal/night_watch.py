@@ -16,6 +16,8 @@ from rich.console import Console
 
 from socast.core.condition.records import CarCondition, Trend
 from socast.core.diagnose.findings import list_changes
+from socast.core.diagnose.inference.events import read_events
+from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import SettingsError, read_input
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel
@@ -72,24 +74,31 @@ class DiagnosisProcess:
         self._error.close()
 
 
-def check_watch(options: ForecastOptions, record: Path | None, watch: Path | None) -> None:
-    """Refuse --watch without recordings, and a file that holds no findings or cannot be written."""
+def check_watch(options: ForecastOptions, record: Path | None, watch: Path | None, events: Path | None) -> None:
+    """Refuse --watch without recordings, and files that hold no findings or events, or cannot be written."""
     if watch is None:
+        if events is not None:
+            raise SettingsError("--events tells the nightly diagnosis what happened to cars: give --watch FILE too")
         return
     if record is None:
         raise SettingsError("--watch diagnoses what --record keeps: give --record DIR too")
-    check_outputs(options.files, watch)
-    check_outputs(options.files, *name_condition_files(watch))
+    read = [*options.files, *([] if events is None else [events])]
+    check_outputs(read, watch)
+    check_outputs(read, *name_condition_files(watch))
     read_findings(watch)
+    if events is not None:
+        read_events(events)
 
 
 def make_nightly_diagnosis(
-    options: ForecastOptions, pipeline: Pipeline, sink: Sink, record: Path, file: Path
+    options: ForecastOptions, pipeline: Pipeline, sink: Sink, record: Path, file: Path, events: Path | None = None
 ) -> NightlyDiagnosis:
     """Return the diagnosis of the first model after every midnight, on the recordings of a folder."""
     arguments = [str(record), "--model", options.models[0] if options.models else DEFAULT_MODEL]
     arguments += [word for path in options.effect_files for word in ("--effects", str(path))]
     arguments += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]
+    if events is not None:
+        arguments += ["--events", str(events)]
     data, _ = name_condition_files(file)
     arguments += ["--findings", str(file), "--condition", str(data)]
     return NightlyDiagnosis(
@@ -109,7 +118,7 @@ def name_condition_files(watch: Path) -> tuple[Path, Path]:
     return data, data.with_suffix(PAGE)
 
 
-def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel) -> int:
+def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel, events: Sequence[KnownEvent] = ()) -> int:
     """Assess the condition of the cars over the last year of rides, write it and its page, and return their number.
 
     The year bounds the cost of a night: that of a car grows with the third power of its dates.
@@ -119,7 +128,7 @@ def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel) -> int:
 
     dates = get_names(rides, "date")
     first = date.fromisoformat(max(dates, default=date.max.isoformat())) - timedelta(days=MOST_DATES - 1)
-    found = assess_condition(rides.loc[[day >= first.isoformat() for day in dates]], model)
+    found = assess_condition(rides.loc[[day >= first.isoformat() for day in dates]], model, events)
     page.write_report(condition.build_report(found), path.with_suffix(PAGE))
     write_json(path, "condition", replace(found, cars=list(map(_forget_days, found.cars))).to_json())
     return len(found.cars)

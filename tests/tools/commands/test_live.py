@@ -47,6 +47,14 @@ def test_unknown_model_and_folder_that_does_not_exist_are_refused_before_the_ser
     assert "none.json: cannot read a model" in message
 
 
+def test_events_need_a_nightly_diagnosis_and_a_readable_file(tmp_path, capsys):
+    events = tmp_path / "workshop.csv"
+    events.write_text("when,who\n")
+    assert "give --watch FILE too" in refused(capsys, "live", "--events", events)
+    watch = ("--record", tmp_path / "kept", "--watch", tmp_path / "findings.json")
+    assert "workshop.csv" in refused(capsys, "live", *watch, "--events", events)
+
+
 class DiagnosisHere:
     """Stand for a process that diagnoses: the same command, in this process."""
 

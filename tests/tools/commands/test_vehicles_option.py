@@ -20,7 +20,7 @@ from socast.tools.commands import live
 from socast.tools.terminal import night_watch
 from socast.tools.terminal.forecast_options import ForecastOptions
 from socast.tools.terminal.live_service import LiveOptions, start_service
-from socast.tools.terminal.night_watch import make_nightly_diagnosis
+from socast.tools.terminal.night_watch import make_nightly_diagnosis, name_condition_files
 from tests.support import own_tables
 from tests.support.commands import called, done, refused
 from tests.support.players import wait_until_there
@@ -81,19 +81,23 @@ def test_fit_of_a_car_of_unknown_model_names_the_remedy(fleet, tmp_path, capsys)
         assert "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model" in message
 
 
-def test_diagnosis_of_the_night_takes_the_data_sheet(fleet, tmp_path, monkeypatch):
+def test_diagnosis_of_the_night_takes_the_data_sheet_and_the_events(fleet, tmp_path, monkeypatch):
     jobs = []
     monkeypatch.setattr(night_watch, "DiagnosisProcess", lambda arguments: jobs.append(arguments) or SimpleNamespace())
     options = ForecastOptions(["basic_physical"], (), (fleet.sheet,), Settings(), "", (), ())
     midnight = SimpleNamespace(day_rollover=SimpleNamespace(midnight=86_400.0))
-    nightly = make_nightly_diagnosis(options, midnight, MemorySink(), fleet.kept, tmp_path / "findings.json")
+    events = tmp_path / "workshop.csv"
+    events.write_text("date,vehicle_id,what\n2017-01-01,nobody,new tyres\n")
+    found = tmp_path / "findings.json"
+    nightly = make_nightly_diagnosis(options, midnight, MemorySink(), fleet.kept, found, events)
     nightly(Tally())
     midnight.day_rollover.midnight *= 2.0
     nightly(Tally())
     (arguments,) = jobs
     _, errors, code = called("diagnose", *arguments)
     assert code == 0, errors
-    assert json.loads((tmp_path / "findings.json").read_text())["findings"] is not None
+    assert json.loads(found.read_text())["findings"] is not None
+    assert json.loads(name_condition_files(found)[0].read_text())["events"]
 
 
 def test_live_service_predicts_with_the_data_sheet(fleet, monkeypatch):
