@@ -14,7 +14,7 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import Candidates, find_coefficient_limits
 from socast.core.diagnose.gains import ResidualSpace, compute_correlation, compute_held_out_gain
-from socast.core.diagnose.inference.posterior import Inference
+from socast.core.diagnose.inference.posterior import Inference, LikelyCause
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
 from socast.core.effects.declaration import VARIANT
 from socast.core.stats.evidence import ClusterSums
@@ -22,6 +22,8 @@ from socast.core.stats.scores import Estimate
 
 UNKNOWN_GAIN: Final = Estimate(0.0, float("nan"), 0.0)
 """Gain of an effect for which none was computed."""
+LARGE_SHARE: Final = 0.02
+"""Share of the energy from which an effect counts, however small its coefficient. [1]"""
 
 
 @dataclass(frozen=True)
@@ -137,13 +139,14 @@ class Selection:
 def list_missing(inference: Inference) -> list[MissingEffect]:
     """Return the effects that are missing in all cars at all times.
 
-    An effect whose 95 % interval lies below its plausible range is negligible. One that physics expects is missing if
-    its interval lies above the lower end of that range.
+    An effect whose 95 % interval lies below its plausible range is negligible, unless it takes a large share of the
+    energy. One that physics expects is missing if its interval lies above the lower end of that range.
     """
+    measured = float(inference.columns.measured.sum())
     found = [
         MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
         for one in inference.findings
-        if one.is_likely and one.form is None and not one.family.is_scoped and _is_large(one.variant, one.size.estimate)
+        if one.is_likely and one.form is None and not one.family.is_scoped and _is_large(one, measured)
     ]
     for one in inference.expected:
         low, _ = one.size.estimate.interval
@@ -170,9 +173,15 @@ def list_scoped(inference: Inference, *, dated: bool = True) -> list[MissingEffe
     ]
 
 
-def _is_large(effect: str, size: Estimate) -> bool:
-    """Return whether a coefficient reaches its plausible range, by absolute value."""
-    return max(abs(limit) for limit in size.interval) >= _find_least(effect)
+def _is_large(one: LikelyCause, measured: float) -> bool:
+    """Return whether a coefficient reaches its plausible range, by absolute value, or takes `LARGE_SHARE`.
+
+    Units: measured [kWh].
+    """
+    size = one.size.estimate
+    if abs(size.value) * float(np.abs(one.column).sum()) >= LARGE_SHARE * measured:
+        return True
+    return max(abs(limit) for limit in size.interval) >= _find_least(one.variant)
 
 
 def _find_least(effect: str) -> float:

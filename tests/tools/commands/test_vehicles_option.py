@@ -97,7 +97,7 @@ def test_diagnosis_of_the_night_takes_the_data_sheet_and_the_events(fleet, tmp_p
     _, errors, code = called("diagnose", *arguments)
     assert code == 0, errors
     assert json.loads(found.read_text())["findings"] is not None
-    assert json.loads(name_condition_files(found)[0].read_text())["events"]
+    assert json.loads(name_condition_files(found)[0].read_text())["events_left_out"] == 1  # of an unknown car
 
 
 def test_live_service_predicts_with_the_data_sheet(fleet, monkeypatch):
