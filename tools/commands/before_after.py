@@ -10,9 +10,11 @@ import typer
 from socast.core import models
 from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
+from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_days import gather_car_days
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
+from socast.core.models import LinearModel
 from socast.core.settings import Settings
 from socast.tools.commands.spikein import parse_size
 from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
@@ -84,25 +86,29 @@ def compare(
     socast before-after tables --model fitted.json --toggle eco-mode.csv --html eco-mode.html
     """
     source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
-    campaign = _read_campaign(vehicles, at, until, days, toggle, what, plan)
+    campaign = read_campaign(vehicles, at, until, days, toggle, what, plan)
     loaded = models.load(model)
-    rides = select_rides(source.read_rides(loaded.effects), {loaded.name: loaded})
-    car_days = gather_car_days(rides, loaded.name, LEAST_CAMPAIGN_KWH)
-    if toggle is None and campaign.at is None:
-        campaign = campaign._replace(at=int(car_days.consumption.dates[-1]) + 1)
-    result = compare_before_after(car_days, campaign, loaded.name)
+    result = evaluate_campaign(source.read_rides(loaded.effects), loaded, campaign)
     write_json(json_file, "before-after", result)
     show_report("before_after", result, html_file, json_file)
 
 
-def _read_campaign(
+def evaluate_campaign(rides: pd.DataFrame, model: LinearModel, campaign: Campaign) -> BeforeAfter:
+    """Return what a campaign changed; one without a date and days on is planned for the day after the last rides."""
+    car_days = gather_car_days(select_rides(rides, {model.name: model}), model.name, LEAST_CAMPAIGN_KWH)
+    if campaign.at is None and not campaign.spans:
+        campaign = campaign._replace(at=int(car_days.consumption.dates[-1]) + 1)
+    return compare_before_after(car_days, campaign, model.name)
+
+
+def read_campaign(
     vehicles: str | None,
     at: str | None,
-    until: str | None,
-    days: int | None,
-    toggle: Path | None,
-    what: str,
-    plan: str | None,
+    until: str | None = None,
+    days: int | None = None,
+    toggle: Path | None = None,
+    what: str = "",
+    plan: str | None = None,
 ) -> Campaign:
     """Return the campaign that the options describe."""
     cars = split_names(vehicles)

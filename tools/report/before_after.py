@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
+from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
 from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus, word_date
@@ -226,12 +227,17 @@ def _illustrate_placebos(result: BeforeAfter) -> list[Illustration]:
     return [Illustration("placebo", "What chance does", caption, draw_placebos(result, result.change))]
 
 
-def draw_placebos(result: BeforeAfter, change: CarChange) -> go.Figure:
-    """Return the distribution of placebo estimates with the estimate marked."""
+def count_placebos(result: BeforeAfter, change: CarChange) -> tuple[Ints, Floats]:
+    """Return the numbers of placebo campaigns by their estimate, and the edges of its intervals [%]."""
     error = float(np.log1p(change.change)) / change.ratio
     estimates = 100.0 * np.expm1(error * np.array([each.ratio for each in result.placebo.campaigns]))
     reach = 1.05 * max(float(np.abs(estimates).max()), abs(100.0 * change.change))
-    counts, edges = np.histogram(estimates, BINS, (-reach, reach))
+    return np.histogram(estimates, BINS, (-reach, reach))
+
+
+def draw_placebos(result: BeforeAfter, change: CarChange) -> go.Figure:
+    """Return the distribution of placebo estimates with the estimate marked."""
+    counts, edges = count_placebos(result, change)
     look = get_style(1)
     bars = go.Bar(
         name="placebo campaigns",

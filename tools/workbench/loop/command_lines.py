@@ -2,8 +2,10 @@
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from socast.core.condition.campaign_records import BeforeAfter
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.workspace import Workspace
 
@@ -46,6 +48,18 @@ def condition_commands(workspace: Workspace, node: ModelNode) -> list[str]:
     ]
 
 
+def before_after_commands(workspace: Workspace, node: ModelNode, result: BeforeAfter) -> list[str]:
+    """Return the commands that compare cars before and after; `--vehicles` of the last one names the cars."""
+    source = workspace.given.source
+    made, data, options = list[str](), _data(workspace), replace(source, vehicle_files=()).list_options()
+    if workspace.recorded and source.vehicle_files:
+        made, data = _make_tables(workspace)
+        options = _effects(workspace)
+    given = {"--vehicles": ",".join(result.vehicles), "--at": result.at, "--until": result.until, "--what": result.what}
+    words = [*data, *_models([node]), *options, *(word for pair in given.items() if pair[1] for word in pair)]
+    return [*made, shlex.join(["socast", "before-after", *map(str, words)])]
+
+
 def live_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:
     """Return the command that runs the models after the first one as its shadows, in service."""
     return shlex.join(["socast", "live", *_models(nodes), *_options(workspace)])
@@ -63,11 +77,7 @@ def history_command(node: ModelNode) -> str:
 
 def list_fit_commands(workspace: Workspace, node: ModelNode) -> list[str]:
     """Return the commands that fit the first model."""
-    folder = Path(workspace.given.source.given[0]).stem if workspace.recorded else ""
-    made = (
-        [shlex.join(["socast", "tables", *_data(workspace), *_options(workspace), "--out", folder])] if folder else []
-    )
-    tables = [folder] if folder else _data(workspace)
+    made, tables = _make_tables(workspace) if workspace.recorded else ([], _data(workspace))
     return [*made, shlex.join(["socast", "fit", *tables, "--recipe", node.model.recipe, "-o", f"{node.name}.json"])]
 
 
@@ -79,6 +89,12 @@ def effect_command(workspace: Workspace, effect: str) -> str:
 def _data(workspace: Workspace) -> list[str]:
     """Return the recordings or tables."""
     return [str(path) for path in workspace.given.source.given]
+
+
+def _make_tables(workspace: Workspace) -> tuple[list[str], list[str]]:
+    """Return the command that makes tables of the recordings, and their folder."""
+    folder = Path(workspace.given.source.given[0]).stem
+    return [shlex.join(["socast", "tables", *_data(workspace), *_options(workspace), "--out", folder])], [folder]
 
 
 def _models(nodes: Sequence[ModelNode]) -> list[str]:

@@ -1,11 +1,13 @@
-"""Records of the page about the condition of cars: each car's trend, and where the energy goes."""
+"""Records of the page about the condition of cars: trends, where the energy goes, and what a repair changed."""
 
 from collections.abc import Sequence
 from typing import Any
 
+from socast.core.condition.campaign import Campaign
 from socast.core.condition.energy_split import split_energy
 from socast.core.condition.records import CarCondition, CarEvent, FleetCondition
-from socast.tools.workbench.loop.command_lines import condition_commands
+from socast.tools.commands.before_after import evaluate_campaign
+from socast.tools.workbench.loop.command_lines import before_after_commands, condition_commands
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.workspace import Workspace
 
@@ -24,12 +26,32 @@ def describe_condition(workspace: Workspace, node: ModelNode, found: FleetCondit
     }
 
 
+def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign) -> dict[str, Any]:
+    """Return the report of `socast before-after` with its words, and the placebo campaigns by estimate."""
+    from socast.tools.report.before_after import count_placebos, describe_campaign  # noqa: PLC0415 - as above
+
+    result = evaluate_campaign(workspace.tables.rides, node.model, campaign)
+    placebos = None
+    if result.change and result.placebo.campaigns:
+        counts, edges = count_placebos(result, result.change)
+        placebos = {"counts": counts.tolist(), "edges_pct": edges.tolist()}
+    return {
+        "report": result.to_json(),
+        "words": describe_campaign(result),
+        "placebos": placebos,
+        "commands": before_after_commands(workspace, node, result),
+    }
+
+
 def _describe_car(car: CarCondition, of_all: Sequence[CarEvent]) -> dict[str, Any]:
     """Return the record of a car with what is found of it in words, and with the events that its chart marks."""
     from socast.tools.report.condition import describe_car, describe_event  # noqa: PLC0415 - as above
 
-    marked = [(each, describe_event(each)) for each in car.events]
-    marked += [(each, f"{describe_event(each)} (all cars)") for each in of_all]
-    marked.sort(key=lambda pair: pair[0].date)
-    events = [{"date": each.date, "what": each.what or "event", "words": words} for each, words in marked]
+    marked = [(each, describe_event(each), False) for each in car.events]
+    marked += [(each, f"{describe_event(each)} (all cars)", True) for each in of_all]
+    marked.sort(key=lambda one: one[0].date)
+    events = [
+        {"date": each.date, "what": each.what or "event", "words": words, "of_all": is_of_all}
+        for each, words, is_of_all in marked
+    ]
     return {**car.to_json(), "usable_kwh": car.usable_kwh, "words": describe_car(car), "events": events}

@@ -4,10 +4,14 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from socast.core.errors import SettingsError
+from socast.tools.commands.before_after import read_campaign
 from socast.tools.workbench.jobs import Report
 from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
 from socast.tools.workbench.loop import causes, condition, models, residuals, rides
 from socast.tools.workbench.loop.model_tree import ModelNode
+
+_REPAIR: Final = ("vehicles", "at", "until", "what")
+"""What the form about a repair sends: options of `socast before-after`."""
 
 
 def _get_workspace(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:
@@ -140,6 +144,20 @@ def _get_condition(workbench: Workbench, request: JsonRequest) -> dict[str, Any]
     return {"job": workbench.jobs.start("assessing the condition of the cars", assess)}
 
 
+def _compare_repair(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
+    body, workspace = request.body, workbench.workspace
+    model = workspace.get_node(_require(body, "model"))
+    vehicles, at, until, what = (" ".join(str(body.get(name) or "").split()) for name in _REPAIR)
+    campaign = read_campaign(vehicles, at or None, until or None, what=what)
+
+    def compare(report: Report) -> dict[str, Any]:
+        record = condition.compare_repair(workspace, model, campaign)
+        report(1.0)  # a cancelled comparison ends here
+        return record
+
+    return workbench.jobs.start("comparing before and after", compare)
+
+
 def _diagnose(workbench: Workbench, model: ModelNode) -> dict[str, Any]:
     """Return the record of the job that diagnoses a model, or of the one that must end first."""
     if running := workbench.jobs.find_running():
@@ -185,5 +203,6 @@ ROUTES: Final[tuple[JsonRoute, ...]] = (
     JsonRoute("/add", _add_effect, changes=True),
     JsonRoute("/undo", _undo, changes=True),
     JsonRoute("/shadow", _run_shadow, changes=True),
+    JsonRoute("/before-after", _compare_repair, changes=True),
 )
 """Routes of these pages, under `/api`."""

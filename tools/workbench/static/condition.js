@@ -1,5 +1,6 @@
 // The page "Condition": how each car is doing, since when, and where the energy of the fleet goes.
 
+import { makeBeforeAfter } from "./before-after.js";
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
 import { count, number, quantity, signed } from "./format.js";
@@ -28,23 +29,26 @@ export function mount(root, first, context) {
         heading("Condition", `How each car is doing beside its siblings, by ${model}, and where the energy goes.`, modelChoice(workspace, state, context)),
         el("div", { class: "stack" },
           el("section", { class: "card stack", "aria-label": "Findings" }, record.words.map((line) => el("p", {}, line)), about(record.about)),
-          drawCars(record.cars),
+          drawCars(record.cars, model),
           drawTable(record.cars),
           drawEnergy(record.energy),
           command(record.commands)));
     });
   }
 
-  function drawCars(cars) {
+  function drawCars(cars, model) {
     let shown = SHOWN;
+    const everyone = cars.map((car) => car.vehicle_id).join(",");
     const host = el("div", { class: "facets" });
     const add = (from) => cars.slice(from, shown).forEach((car) => {
       const place = el("div", {});
       const list = el("div", {});
-      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || CLEAR), list));
+      const repair = makeBeforeAfter(car.vehicle_id, model, context);
+      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || CLEAR), list, repair.node));
       const plot = chart(place, describeTrend(car));
-      plots.push(plot);
-      if (car.events.length) list.append(listEvents(car, plot));
+      plots.push(plot, repair);
+      const choose = ({ date, what, of_all: isOfAll }) => repair.fill({ vehicles: isOfAll ? everyone : car.vehicle_id, what, at: date });
+      if (car.events.length) list.append(listEvents(car, plot, choose));
     });
     const more = cars.length > shown && el("button", { type: "button", onclick: () => {
       const from = shown;
@@ -53,7 +57,8 @@ export function mount(root, first, context) {
       if (shown >= cars.length) more.remove();
     } }, "Show more cars");
     requestAnimationFrame(() => add(0)); // a chart is drawn once its place has a width
-    return el("section", { class: "card stack", "aria-label": "Each car" }, el("h2", {}, "Each car"), host, more);
+    return el("section", { class: "card stack", "aria-label": "Each car" }, el("h2", {}, "Each car"),
+      el("p", { class: "note small" }, "“Did a repair help?” compares the days of a car before and after a date. A known event fills the form."), host, more);
   }
 
   draw();
@@ -96,12 +101,13 @@ function describeTrend(car) {
   };
 }
 
-// The known events of a car as buttons; one that has the focus or the pointer is marked in the chart.
-function listEvents(car, plot) {
+// The known events of a car as buttons; one that has the focus or the pointer is marked in the chart, and `choose`
+// receives the one that is pressed.
+function listEvents(car, plot, choose) {
   const show = (day) => () => plot.setCursor(day, day !== null);
-  const button = ({ date, words }) => {
-    const [mark, unmark] = [show(toDay(date)), show(null)];
-    return el("button", { type: "button", onfocus: mark, onclick: mark, onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, words);
+  const button = (event) => {
+    const [mark, unmark] = [show(toDay(event.date)), show(null)];
+    return el("button", { type: "button", title: "Compare before and after", onfocus: mark, onclick: () => choose(event), onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, event.words);
   };
   return el("ul", { class: "events", "aria-label": `Known events of ${car.vehicle_id}` }, car.events.map((event) => el("li", {}, button(event))));
 }

@@ -256,6 +256,45 @@ def test_known_events_are_marked_in_the_charts_and_reached_by_keyboard(visit):
     page.get_by_text("--events").first.wait_for(state="attached")
 
 
+def test_known_event_fills_the_form_that_compares_before_and_after(visit):
+    page = visit.page
+    visit.go("#/condition")
+    event = page.get_by_role("list", name="Known events of taxi-002").get_by_role("button", name="new tyres")
+    event.focus()
+    page.keyboard.press("Enter")
+    form = page.get_by_role("form", name="Repair of taxi-002")
+    given = [form.get_by_label(name, exact=True).input_value() for name in ("What was done", "Date [UTC]")]
+    assert given == ["new tyres", "2018-11-20"]
+    assert form.get_by_label("Vehicles").input_value() == "taxi-002"
+    page.keyboard.press("Enter")  # the focus is on the button of the form
+    answer = page.locator(".answer").filter(has_text="since 20 November 2018 (new tyres): ")
+    answer.get_by_text(re.compile("placebo campaigns shows? as much")).wait_for()
+    drawn = page.get_by_role("group", name=re.compile("^What chance does"))
+    assert {"Estimated change [%]", "Placebo campaigns [1]"} <= set(drawn.locator("text").all_text_contents())
+    assert "to see 3" in answer.locator("dl").inner_text()
+    page.get_by_text("--vehicles taxi-002 --at 2018-11-20 --what 'new tyres'").wait_for(state="attached")
+    assert list_violations(page) == []
+
+
+def test_event_of_all_cars_compares_all_of_them_and_errors_are_one_line(visit):
+    page = visit.page
+    visit.go("#/fleet")
+    visit.go("#/condition")
+    page.get_by_role("list", name="Known events of taxi-001").get_by_role("button", name="update").click()
+    form = page.get_by_role("form", name="Repair of taxi-001")
+    vehicles, submit = form.get_by_label("Vehicles"), form.get_by_role("button")
+    assert vehicles.input_value().count("taxi-") == 5
+    submit.click()
+    page.get_by_text("No siblings of").wait_for()
+    vehicles.fill("taxi-01")
+    submit.click()
+    page.get_by_role("alert").get_by_text("did you mean taxi-001").wait_for()
+    form.get_by_label("Date [UTC]", exact=True).fill("")
+    submit.click()
+    page.get_by_role("alert").get_by_text("--at is missing").wait_for()
+    assert page.locator(".answer dl").count() == 0
+
+
 def test_own_effect_is_read_again_when_its_file_changes(visit, own):
     page = visit.page
     visit.go("#/causes?effect=my_drag")

@@ -1,0 +1,104 @@
+// The form "Did a repair help?" of a car on the page Condition, and its answer: what `socast before-after` says.
+
+import { chart } from "./chart.js";
+import { el } from "./dom.js";
+import { count, number, quantity, signed } from "./format.js";
+import { command, field, progress, put } from "./loop.js";
+
+const SIZE = 0.03; // change of which the answer says how long it takes to be seen
+let made = 0;
+
+// Return {node, fill(given), destroy()} of a car; `fill` opens the form and takes {vehicles, at, what}.
+export function makeBeforeAfter(car, model, context) {
+  let plot = null;
+  let busy = false;
+  made += 1;
+  const input = (words, name, attributes) => field(words, `repair-${made}-${name}`, el("input", { name, autocomplete: "off", ...attributes }));
+  const submit = el("button", { type: "submit", class: "primary", disabled: context.session.read_only }, "Compare before and after");
+  const answer = el("div", { class: "answer" });
+  const form = el("form", { class: "question", novalidate: true, "aria-label": `Repair of ${car}`, onsubmit: (event) => {
+    event.preventDefault();
+    if (!busy) ask();
+  } },
+  el("div", { class: "question-fields" },
+    input("Vehicles, with commas", "vehicles", { value: car }),
+    input("What was done", "what", { placeholder: "new tyres" }),
+    input("Date [UTC]", "at", { type: "date" }),
+    input("Last date [UTC], if not all", "until", { type: "date" })),
+  submit);
+  const node = el("details", { class: "same repair" }, el("summary", {}, "Did a repair help?"), form, answer);
+
+  const clear = () => { plot?.destroy(); plot = null; };
+
+  async function ask() {
+    const say = (...children) => { clear(); put(answer, children); };
+    busy = true;
+    submit.setAttribute("aria-disabled", "true");
+    try {
+      const given = Object.fromEntries(new FormData(form));
+      const record = await context.job("/before-after", { model, ...given }, (now) => say(progress("Comparing before and after", now)));
+      if (!node.isConnected) return; // the page was left meanwhile
+      say();
+      drawAnswer(record);
+      context.announce(record.words[0]);
+    } catch (error) {
+      say(el("p", { class: "bad", role: "alert" }, error.message));
+    } finally {
+      busy = false;
+      submit.removeAttribute("aria-disabled");
+    }
+  }
+
+  function drawAnswer({ report, words, placebos, commands }) {
+    const { change } = report;
+    const { days } = report.detection.find(({ size }) => size === SIZE);
+    const facts = [
+      change && ["change of consumption", quantitySigned(change.change)],
+      change && ["90 % interval", `${signed(100 * change.ci90[0], 1)} to ${quantitySigned(change.ci90[1])}`],
+      [`to see ${quantity(100 * SIZE, "%")}`, days === null ? "more than a year" : count(days, "day")],
+    ].filter(Boolean);
+    const place = el("div", {});
+    put(answer,
+      el("dl", { class: "figures small-figures" }, facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)))),
+      words.map((line) => el("p", {}, line)),
+      placebos && place,
+      command(commands));
+    if (placebos) plot = chart(place, describePlacebos(placebos, change));
+  }
+
+  return {
+    node,
+    fill(given) {
+      for (const name of ["vehicles", "what", "at", "until"]) form.elements[name].value = given[name] ?? "";
+      clear();
+      put(answer);
+      node.open = true;
+      (submit.disabled ? form.elements.at : submit).focus();
+    },
+    destroy: clear,
+  };
+}
+
+const quantitySigned = (share) => `${signed(100 * share, 1)}\u202f%`;
+
+function describePlacebos({ counts, edges_pct: edges }, change) {
+  const ends = counts.flatMap((_, i) => [edges[i], edges[i + 1]]);
+  const high = counts.flatMap((each) => [each, each]);
+  const tell = (i) => {
+    const at = Math.min(i, counts.length - 1);
+    return [`${number(edges[at], 1)} to ${quantity(edges[at + 1], "%", 1)}`, count(counts[at], "placebo campaign")];
+  };
+  return {
+    title: "What chance does: placebo campaigns by their estimate",
+    summary: `The estimate is ${quantitySigned(change.change)}.`,
+    heading: "What chance does",
+    height: 200,
+    x: { label: "Estimated change", unit: "%", domain: [edges[0], edges.at(-1)] },
+    y: { label: "Placebo campaigns [1]", zero: true },
+    layers: [
+      { type: "area", x: ends, low: high.map(() => 0), high, colour: "--blue", opacity: 0.3 },
+      { type: "stairs", x: edges, y: [...counts, counts.at(-1)], colour: "--blue", name: "placebo campaigns", thick: 1.5, tell },
+      { type: "rule", x: 100 * change.change, colour: "--vermilion", dash: "5 3", thick: 2, name: "estimate" },
+    ],
+  };
+}
