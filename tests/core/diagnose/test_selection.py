@@ -2,13 +2,15 @@
 
 from copy import copy
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from socast.core import effects
+from socast.core.diagnose.inference.posterior import LikelyCause, Size
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.selection import Selection, select_missing
+from socast.core.diagnose.selection import Selection, list_missing, select_missing
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate, compute_half_widths
 from tests.support.inferences import infer
@@ -76,6 +78,17 @@ def test_two_planted_effects_are_both_named(pair):
 
 def test_effect_below_the_least_gain_is_left_out():
     assert list_names(select(("headwind", 0.05), least_gain=0.99)) == []
+
+
+@pytest.mark.parametrize(("share", "is_missing"), [(0.019, False), (0.021, True)])
+def test_effect_below_its_plausible_coefficients_is_missing_where_it_takes_a_large_share(share, is_missing):
+    measured, column = np.ones(50), np.full(50, 0.1)
+    size = Size(Estimate(share / 0.1, 0.001, 40.0), 1.0)
+    assert size.estimate.value < effects.get("cabin_heating").low
+    family = SimpleNamespace(is_scoped=False, lowest=0.0)
+    cause = LikelyCause(family, 0.99, 9.0, "cabin_heating", size, {"cabin_heating": 1.0}, {0: 1.0}, 0, column)
+    inference = SimpleNamespace(findings=(cause,), expected=(), columns=SimpleNamespace(measured=measured))
+    assert [each.effect for each in list_missing(inference)] == ["cabin_heating"] * is_missing
 
 
 def test_selection_is_reproducible():
