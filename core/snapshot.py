@@ -31,6 +31,7 @@ from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
 from socast.core.totals.display_yield import LANE_YIELD, LARGEST_CURVE
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.sample_losses import SAMPLE_LOSS
 from socast.core.wire.state_schema import (
     Anything,
@@ -66,7 +67,7 @@ def open_snapshot(snapshot: bytes) -> dict[str, Any]:
         raise SocastError("not a snapshot of this product, or a damaged one: start without it")
     try:
         state: dict[str, Any] = msgspec.msgpack.decode(content, type=dict[str, Any])
-    except (msgspec.MsgspecError, RecursionError) as error:
+    except UNREADABLE as error:
         raise SocastError(f"a snapshot of another form: {error}; start without it") from error
     if tuple(map(state.get, ("version", "fields"))) != (SNAPSHOT, FIELDS):
         found = str(state.get("version"))[:20]

@@ -19,6 +19,7 @@ from socast.core.files import write_whole
 from socast.core.models.features import ACCESSORIES_COLUMN, get_unit
 from socast.core.models.interval import ANY
 from socast.core.models.linear import FORMAT, Fit, LinearModel, Term
+from socast.core.unreadable import UNREADABLE
 from socast.core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
@@ -189,7 +190,7 @@ def decode_model(content: bytes) -> LinearModel:
     """
     try:
         raw = msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
     format_ = raw.get("format") if isinstance(raw, dict) else None
     if format_ is None or "terms" not in raw:
@@ -200,7 +201,7 @@ def decode_model(content: bytes) -> LinearModel:
         )
     try:
         model = msgspec.convert(raw, LinearModel)
-    except msgspec.ValidationError as error:
+    except UNREADABLE as error:
         raise ModelError(f"model file is damaged: {error}: fit the model again") from error
     check_model(model)
     return model

@@ -20,6 +20,7 @@ from socast.core.errors import SettingsError, read_input
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Finding
 from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition, NightlyDiagnosis
 from socast.stream.source import Sink
@@ -143,7 +144,7 @@ def read_condition(path: Path) -> NightlyCondition | None:
         return None
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; remove it") from error
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise SettingsError(f"{path} is no condition of cars: {error}; remove it") from error
 
 
@@ -190,7 +191,7 @@ def read_findings(path: Path) -> list[Finding]:
         return []
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; name another file") from error
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise SettingsError(f"{path} is no file of findings: {error}; name another file") from error
 
 

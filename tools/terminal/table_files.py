@@ -17,6 +17,7 @@ from socast.core.files import replacing
 from socast.core.fit.ride_blocks import list_parts
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
+from socast.core.unreadable import UNREADABLE
 from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recording_metadata import INVENTED
@@ -180,7 +181,7 @@ def is_dated(recording: Path) -> bool:
     """Return whether the dates of a recording are known, and not invented by `socast import --sequence`."""
     try:
         settings = msgspec.json.decode(McapSource(recording).metadata.get("settings") or "{}", type=dict[str, Any])
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return True
     return settings.get("dates") != INVENTED
 
@@ -197,7 +198,7 @@ def read_source(folder: Path) -> TableSource | None:
     """Return the source of the tables in a folder; None where none is noted."""
     try:
         return msgspec.json.decode((folder / QUALITY).read_bytes(), type=_Quality).source
-    except (OSError, msgspec.DecodeError):
+    except (OSError, *UNREADABLE):
         return None
 
 
