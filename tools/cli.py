@@ -269,7 +269,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(_one_line(words.format(reason=error.strerror)), file=sys.stderr)
         raise SystemExit(2) from None
     except MemoryError as error:
-        print(_one_line(f"memory is used up: {error or 'no more is given'}; give more, or less data"), file=sys.stderr)
+        print(
+            _one_line(f"memory is used up: {str(error) or 'no more is given'}; give more, or less data"),
+            file=sys.stderr,
+        )
         raise SystemExit(2) from None
     raise SystemExit(code)
 

@@ -248,4 +248,5 @@ def test_recording_that_vanishes_is_noticed_at_the_next_flush_and_begun_anew(tmp
     assert recorder.recorded + recorder.unrecorded == 30
     assert recorder.recorded >= 5
     recorder.close()
-    assert [m for block in McapSource(list_recordings(folder)[-1]) for m in block] == make_messages(5, 40)
+    kept = [m for block in McapSource(list_recordings(folder)[-1]) for m in block]
+    assert kept[-5:] == make_messages(5, 40)
