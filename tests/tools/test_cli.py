@@ -1,6 +1,5 @@
 """The command line answers quickly, reports every error in one line, and ends cleanly on a signal."""
 
-import errno
 import json
 import logging
 import os
@@ -498,22 +497,3 @@ def test_closed_pipe_gives_no_traceback(recording):
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
     assert "Traceback" not in done.stderr
     assert os.linesep in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (OSError(errno.EMFILE, "Too many open files"), "Too many open files: the limit of open files is too low"),
-        (OSError(errno.ENOSPC, "No space left on device"), "a disk is full: No space left on device; make room"),
-        (MemoryError(), "memory is used up: no more is given; give more, or less data"),
-        (SettingsError("x" * 1_000_000), "xxx ... xxx"),
-    ],
-)
-def test_shortage_is_one_line_of_bounded_length(monkeypatch, capsys, error, words):
-    def fail(*_, **__):
-        raise error
-
-    monkeypatch.setattr("socast.tools.cli.application", lambda _: fail)
-    message = refused(capsys, "info", "a.mcap")
-    assert words in message
-    assert len(message) < 2100

@@ -17,10 +17,10 @@ from rich.console import Console
 from socast.core.condition.records import CarCondition, Trend
 from socast.core.diagnose.findings import list_changes
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Finding
 from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition, NightlyDiagnosis
 from socast.stream.source import Sink
