@@ -19,6 +19,7 @@ from socast.core.cleaning.kernel import STATE
 from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
 from socast.core.errors import SocastError
+from socast.core.files import UNREADABLE
 from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
@@ -66,7 +67,7 @@ def open_snapshot(snapshot: bytes) -> dict[str, Any]:
         raise SocastError("not a snapshot of this product, or a damaged one: start without it")
     try:
         state: dict[str, Any] = msgspec.msgpack.decode(content, type=dict[str, Any])
-    except (msgspec.MsgspecError, RecursionError) as error:
+    except UNREADABLE as error:
         raise SocastError(f"a snapshot of another form: {error}; start without it") from error
     if tuple(map(state.get, ("version", "fields"))) != (SNAPSHOT, FIELDS):
         found = str(state.get("version"))[:20]

@@ -61,7 +61,7 @@ class Checkpoints:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.caught_up = 0
-        self.saved_s = clock()
+        self.saved_s = self._tried_s = clock()
         self._pipeline, self._file, self._recorder, self._clock = pipeline, file, recorder, clock
         self._recovered = 0
         self._newest: dict[str, Message] = {}
@@ -94,12 +94,12 @@ class Checkpoints:
         if self._recorder is not None and tally.recovered > self._recovered:
             self._recovered = tally.recovered
             self._recorder.sync()
-        if self._clock() - self.saved_s < SAVE_S:
+        if self._clock() - self._tried_s < SAVE_S:
             return
         try:
             self.save()
         except SettingsError as error:
-            self.saved_s = self._clock()
+            self._tried_s = self._clock()
             _log.error("state not kept: %s", error)
 
     def save(self) -> None:
@@ -109,7 +109,7 @@ class Checkpoints:
             self._recorder.sync()
             note |= msgspec.to_builtins(self._recorder.place)
         self._file.save(self._pipeline.snapshot(note))
-        self.saved_s = self._clock()
+        self.saved_s = self._tried_s = self._clock()
 
     def _log_start(self) -> None:
         """Log what the service continues from; loudly where it is not the last state."""

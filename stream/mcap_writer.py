@@ -12,6 +12,7 @@ References
 MCAP format specification, https://mcap.dev/spec.
 """
 
+import errno
 import json
 import os
 import struct
@@ -99,7 +100,7 @@ class McapSink(Closeable):
     written : int
         Size of the file so far, with the uncompressed size of the unfinished chunk. [B]
     messages, kept : int
-        Number of messages that were put, and number of messages that are in the file.
+        Number of messages that were put, and number of messages that are in the file; none once `sync` missed it.
     """
 
     def __init__(
@@ -185,10 +186,16 @@ class McapSink(Closeable):
         self._end_chunk()
 
     def sync(self) -> None:
-        """Write the unfinished chunk, and return once the operating system has everything on disk."""
+        """Write the unfinished chunk, and return once the operating system has everything on disk.
+
+        A file that was removed, or whose folder was, still takes data, and nobody finds them: it is refused.
+        """
         self._end_chunk()
         with _explain(self.path):
             os.fdatasync(self._file.fileno())
+            if not self._is_found():
+                self.kept = 0
+                raise OSError(errno.ENOENT, "the file was removed or moved")
 
     def close(self) -> None:
         """Write the summary and close the file."""
@@ -205,6 +212,13 @@ class McapSink(Closeable):
         """Close the file without a summary, for use after the disk refused data."""
         with suppress(OSError):
             self._file.close()
+
+    def _is_found(self) -> bool:
+        """Return whether the path of the file that is written still leads to it."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), Path(self._file.name).stat())
+        except FileNotFoundError:
+            return False
 
     def _open(self, key: str, *, for_viewers: bool) -> int:
         """Return the channel number of a new key."""

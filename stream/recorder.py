@@ -60,7 +60,8 @@ class Recorder(Closeable):
     The name of a file is the UTC time of receipt of its first message, such as `20260131T235959.123Z.mcap`. A new file
     comes after all others in the order of names, even if the system clock was set back. A disk that refuses data does
     not stop the consumer. The recorder counts the messages that it could not write, and tries another file after
-    `RETRY_S`. A lock keeps a second process out of the folder.
+    `RETRY_S`; so it does where the file that it writes was removed or moved, which a flush notices. A lock keeps a
+    second process out of the folder.
 
     Parameters
     ----------

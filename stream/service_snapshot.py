@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from socast.core.files import UNREADABLE
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
@@ -250,7 +251,7 @@ class LagMeter:
         if message.key.endswith(_TELEMETRY):
             try:
                 lag = message.receipt_ns * 1e-9 - self._decode(message.payload).time_s
-            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            except UNREADABLE:
                 return
             lag = max(0.0, lag)
             self._counts[bisect_left(LAG_BUCKETS, lag)] += 1

@@ -27,6 +27,7 @@ import zenoh
 from zenoh import handlers
 
 from socast.core.errors import AskError, SettingsError
+from socast.core.files import UNREADABLE
 from socast.stream.closeable import Closeable
 from socast.stream.zenoh_session import Node, format_zenoh_error
 
@@ -169,5 +170,5 @@ def _read_reason(payload: bytes) -> str | None:
     """Return the reason in an error reply; None for Zenoh's own reply, which reports a timeout."""
     try:
         return msgspec.json.decode(payload, type=_Refusal).error
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    except UNREADABLE:
         return None

@@ -26,6 +26,7 @@ import msgspec
 import zenoh
 
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.wire.shard import Shard
 from socast.stream.closeable import Closeable
 from socast.stream.link_check import explain_failure
@@ -303,7 +304,7 @@ def _read_certificates(file: Path) -> dict[str, Any]:
     """Return the TLS setting of a file in JSON; Zenoh shows no keys that a configuration holds."""
     try:
         return dict(msgspec.json.decode(file.read_bytes())["transport"]["link"]["tls"])
-    except (msgspec.DecodeError, OSError, KeyError, TypeError, ValueError):
+    except (*UNREADABLE, OSError, KeyError, TypeError, ValueError):
         return {}
 
 

@@ -121,8 +121,15 @@ COMPLETION: Final = "_SOCAST_COMPLETE"
 """Environment variable with which a shell asks for completions."""
 CLOSED_PIPE: Final = 141
 """Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
-FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""Reasons of the operating system for which nothing more can be written, also to scratch files."""
+_FULL: Final = "a disk is full: {reason}; make room, and start again"
+_FILES: Final = "{reason}: the limit of open files is too low; raise it with `ulimit -n`, and start again"
+SHORTAGES: Final = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _FULL),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), _FILES),
+}
+"""What to say where the operating system gives a process no more of something, by its reason."""
+LONGEST_LINE: Final = 2000
+"""Longest error message that is printed whole, because it may quote a file. [characters]"""
 
 _SETTINGS: Final = "socast.tools.terminal.settings_file"
 """Module of settings files; it is imported only by commands that take one."""
@@ -257,9 +264,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter's last flush stays silent
         raise SystemExit(CLOSED_PIPE) from None
     except OSError as error:
-        if error.errno not in FULL:
+        if (words := SHORTAGES.get(error.errno or 0)) is None:
             raise
-        print(_one_line(f"a disk is full: {error.strerror}; make room, and start again"), file=sys.stderr)
+        print(_one_line(words.format(reason=error.strerror)), file=sys.stderr)
+        raise SystemExit(2) from None
+    except MemoryError as error:
+        print(
+            _one_line(f"memory is used up: {str(error) or 'no more is given'}; give more, or less data"),
+            file=sys.stderr,
+        )
         raise SystemExit(2) from None
     raise SystemExit(code)
 
@@ -291,8 +304,10 @@ def _usage(error: UsageError, chosen: str | None) -> str:
 
 
 def _one_line(message: str) -> str:
-    """Return an error message as the one line that a person reads."""
-    return f"socast: {' '.join(message.split())}"
+    """Return an error message as the one line that a person reads; the middle of a very long one is left out."""
+    line = " ".join(message.split())
+    half = LONGEST_LINE // 2
+    return f"socast: {line if len(line) <= LONGEST_LINE else f'{line[:half]} ... {line[-half:]}'}"
 
 
 def _show_version(wanted: bool) -> None:

@@ -24,6 +24,7 @@ from socast.core.effects import air, battery, cabin, electrics, powertrain, road
 from socast.core.effects.declaration import VARIANT, Effect
 from socast.core.effects.verification import check_effect
 from socast.core.errors import EffectError, read_input
+from socast.core.files import UNREADABLE
 
 TIME_LIMIT: Final = 60.0
 """Longest time for importing and checking a user's file, which takes about 1 s of processor time. [s]"""
@@ -200,7 +201,7 @@ def _is_json(source: str) -> bool:
     """Return whether a text is a JSON object or list, as model files and reports are."""
     try:
         return isinstance(msgspec.json.decode(source), dict | list)
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return False
 
 
@@ -215,6 +216,8 @@ def _check_source(path: Path, source: str) -> None:
     except (SyntaxError, ValueError) as error:  # ValueError: null bytes
         line = getattr(error, "lineno", None) or 1
         raise EffectError(f"{path}:{line}: not Python: {getattr(error, 'msg', error)}") from error
+    except (RecursionError, MemoryError) as error:
+        raise EffectError(f"{path}: not Python: an expression is nested too deeply; split it") from error
     for node in ast.walk(tree):
         modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):

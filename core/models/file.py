@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from socast.core.errors import EffectError, ModelError, read_input
-from socast.core.files import write_whole
+from socast.core.files import UNREADABLE, write_whole
 from socast.core.models.features import ACCESSORIES_COLUMN, get_unit
 from socast.core.models.interval import ANY
 from socast.core.models.linear import FORMAT, Fit, LinearModel, Term
@@ -189,7 +189,7 @@ def decode_model(content: bytes) -> LinearModel:
     """
     try:
         raw = msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise ModelError(f"no model file: not JSON: {error}: `socast fit` writes model files") from error
     format_ = raw.get("format") if isinstance(raw, dict) else None
     if format_ is None or "terms" not in raw:
@@ -200,7 +200,7 @@ def decode_model(content: bytes) -> LinearModel:
         )
     try:
         model = msgspec.convert(raw, LinearModel)
-    except msgspec.ValidationError as error:
+    except UNREADABLE as error:
         raise ModelError(f"model file is damaged: {error}: fit the model again") from error
     check_model(model)
     return model

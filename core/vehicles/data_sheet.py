@@ -33,7 +33,7 @@ def read_data_sheets(text: str, origin: str) -> Mapping[str, VehicleModel]:
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise CatalogueError(f"{origin} is not TOML: {error}; write [my-car] and its figures below") from error
     if not tables:
         raise CatalogueError(f"{origin} holds no vehicle; write [my-car] and its figures below")

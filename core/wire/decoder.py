@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats, Ints, Lanes
 from socast.core.columns import KMH, ZERO_CELSIUS
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from socast.core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
@@ -78,7 +79,6 @@ class Refused(NamedTuple):
 
 _BLOCK: Final = 2000  # no power of two, at which columns would evict each other from the cache
 _MOST_KEYS: Final = 1 << 20
-_LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def _prepare_column(values: tuple[Any, ...]) -> Any:
@@ -293,7 +293,7 @@ class Decoder:
             return False
         try:
             sample = self._one.decode(message.payload)
-        except _LOST:
+        except UNREADABLE:
             return False
         if sample.vehicle_id != self.lanes.names[lane]:
             return False
@@ -356,7 +356,7 @@ class Decoder:
         parts: list[Any]
         try:
             parts = self._several.decode(payload)
-        except _LOST:
+        except UNREADABLE:
             parts = [payload]
         if not parts:
             self.rejected["empty_list"] += 1
@@ -373,7 +373,7 @@ class Decoder:
             value = decoder.decode(payload)
         except msgspec.ValidationError as error:
             self.rejected["too_long" if "of length <=" in str(error) else "wrong_type"] += 1
-        except _LOST:
+        except UNREADABLE:
             self.rejected["not_json"] += 1
         else:
             if identity(value) == whose:

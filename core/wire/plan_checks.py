@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from socast.core.errors import AskError
+from socast.core.files import UNREADABLE
 from socast.core.wire.messages import IDENTITY, Leg, Plan, Wire
 
 MOST_LEGS: Final = 500
@@ -241,7 +242,7 @@ def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
         raise AskError(f"the plan has {len(payload)} bytes, at most {MOST_BYTES}; give the legs that remain", "payload")
     try:
         query = _query_plans.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+    except UNREADABLE as error:
         raise AskError(
             f"the payload is no plan: {error}; give JSON with shift_end_s, reserve_soc_pct and legs",
             "payload",

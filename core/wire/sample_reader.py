@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows
 from socast.core.wire.json_scanner import POSITION
@@ -144,7 +145,7 @@ def _read_json(payload: bytes) -> list[tuple[Any, ...]]:
     """Return the fields of a sample or of a list of samples, nothing if the payload cannot be decoded."""
     try:
         value = _decode(payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except UNREADABLE:
         return []
     return [msgspec.structs.astuple(sample) for sample in (value if isinstance(value, list) else [value])]
 

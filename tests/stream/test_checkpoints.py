@@ -207,6 +207,7 @@ def test_what_came_from_caches_is_on_disk_at_once(service, monkeypatch):
 def test_state_that_the_disk_refuses_is_logged_and_tried_again_after_the_interval(service, monkeypatch, caplog):
     consumer = service.start()
     consumer.checkpoints.restore()
+    saved_s = consumer.checkpoints.saved_s
     tries: list[bytes] = []
 
     def refuse(snapshot: bytes) -> None:
@@ -219,6 +220,7 @@ def test_state_that_the_disk_refuses_is_logged_and_tried_again_after_the_interva
             consumer.checkpoints(Tally())
     assert len(tries) == 2
     assert [record.getMessage() for record in caplog.records] == ["state not kept: the disk is full"] * 2
+    assert consumer.checkpoints.saved_s == saved_s, "the age of the state grows"
 
 
 def test_state_without_a_recording_continues_without_one(tmp_path):

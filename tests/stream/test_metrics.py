@@ -1,7 +1,7 @@
 """Metrics have one line each per value, in the form that Prometheus reads, from one snapshot."""
 
 import builtins
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 from prometheus_client.exposition import generate_latest
@@ -119,3 +119,14 @@ def test_guide_describes_every_metric():
         assert f"| `{row.exported}{labels}` | {meaning} |" in guide, row.name
     for name in (LAG, READY, LOOP_AGE, BUILD):
         assert name in guide
+
+
+@pytest.mark.parametrize("odd", ['a"b', "a\nb", "a\\b", "é☃𝄞", "a\0b", '{x="1"} 5\nforged 1'])
+def test_odd_label_is_one_value_that_reads_back(odd):
+    text = export(replace(FULL, rejected={odd: 1}, model_mae_kwh={odd: 0.25}))
+    families = list(text_string_to_metric_families(text))
+    values = [sample.labels.get("cause") for family in families for sample in family.samples]
+    assert odd in values
+    assert {family.name for family in families} == {
+        family.name for family in text_string_to_metric_families(export(FULL))
+    }

@@ -1,5 +1,6 @@
 """The recorder keeps every payload in files of bounded size and time, and survives a full disk."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -221,3 +222,31 @@ def test_time_of_the_last_sync_stands_still_while_the_disk_refuses_data(tmp_path
     for clock.now in (24.0, 30.0):
         recorder.put(make_messages(2))
     assert recorder.synced_s == 30.0
+
+
+@pytest.mark.parametrize("change", ["removed", "moved", "another file"])
+def test_recording_that_vanishes_is_noticed_at_the_next_flush_and_begun_anew(tmp_path: Path, caplog, change):
+    clock, folder = Clock(), tmp_path / "kept"
+    recorder = Recorder(folder, flush_s=5.0, clock=clock)
+    recorder.put(make_messages(10))
+    recorder.sync()
+    if change == "another file":
+        recorder.files[0].unlink()
+        recorder.files[0].touch()
+    else:
+        folder.rename(tmp_path / "elsewhere")
+    if change == "removed":
+        shutil.rmtree(tmp_path / "elsewhere")
+    clock.now = 5.0
+    recorder.put(make_messages(10, 10))
+    assert (recorder.recorded, recorder.unrecorded) == (0, 20)
+    assert "the file was removed or moved" in caplog.text
+    for now in (20.0, 40.0):  # without its folder, with it
+        clock.now = now
+        recorder.put(make_messages(5, int(now)))
+        folder.mkdir(exist_ok=True)
+    assert recorder.recorded + recorder.unrecorded == 30
+    assert recorder.recorded >= 5
+    recorder.close()
+    kept = [m for block in McapSource(list_recordings(folder)[-1]) for m in block]
+    assert kept[-5:] == make_messages(5, 40)

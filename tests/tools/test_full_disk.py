@@ -1,10 +1,11 @@
-"""A command that fills the disk leaves what was there, and says so in one line."""
+"""A command that fills the disk leaves what was there; any shortage is one line."""
 
 import errno
 import os
 
 import pytest
 
+from socast.core.errors import SettingsError
 from socast.tools.simulator.car_files import CarWriter
 from tests.support.commands import done, refused
 
@@ -25,3 +26,22 @@ def test_full_disk_leaves_the_recording_and_gives_one_line(place, tmp_path, caps
     assert "No space left on device; make room" in refused(capsys, *SIMULATE, path)
     assert path.read_bytes() == before
     assert {each.name for each in tmp_path.iterdir()} == {"shift.mcap", "shift.truth.json"}
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.EMFILE, "Too many open files"), "Too many open files: the limit of open files is too low"),
+        (OSError(errno.ENOSPC, "No space left on device"), "a disk is full: No space left on device; make room"),
+        (MemoryError(), "memory is used up: no more is given; give more, or less data"),
+        (SettingsError("x" * 1_000_000), "xxx ... xxx"),
+    ],
+)
+def test_shortage_is_one_line_of_bounded_length(monkeypatch, capsys, error, words):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("socast.tools.cli.application", lambda _: fail)
+    message = refused(capsys, "info", "a.mcap")
+    assert words in message
+    assert len(message) < 2100

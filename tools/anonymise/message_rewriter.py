@@ -11,6 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.vehicles import load_catalogue
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows, write_rows
@@ -55,7 +56,6 @@ REFUSED_BATCHES: Final = {
     "wrong_type": "batches with a column missing or of a wrong type",
 }
 """Cause for which a batch cannot be used at all -> how it is counted."""
-_UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 class RewrittenBatch(NamedTuple):
@@ -236,7 +236,7 @@ class MessageRewriter:
                 samples = [self._rewrite(each) for each in self._samples.decode(payload)]
                 return b"[" + b",".join(map(encode, samples)) + b"]"
             return encode(self._rewrite(self._decoders[known.kind].decode(payload)))
-        except _UNREADABLE:
+        except UNREADABLE:
             self.dropped["unreadable"] += 1
             return None
 

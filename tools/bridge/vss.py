@@ -18,6 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from socast.core.errors import SettingsError
+from socast.core.files import UNREADABLE
 from socast.core.wire.messages import IDENTITY
 from socast.stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
 from socast.tools.bridge.row_assembler import RowAssembler, Signal, Value, make_signal, parse_number, read_signals
@@ -144,7 +145,7 @@ def parse_payload(payload: bytes) -> tuple[object, float | None]:
     """
     try:
         value: Any = msgspec.json.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+    except UNREADABLE:
         return payload.decode("utf-8", "replace"), None
     for name in ("data", "dp"):
         if isinstance(value, Mapping) and isinstance(value.get(name), Mapping):

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import typer
 
+from socast.core.files import UNREADABLE
 from socast.core.formatting import format_count
 from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import Message, Weather, address
@@ -185,7 +186,7 @@ def _read_stations(messages: Sequence[Message]) -> list[tuple[float, float]]:
     for message in [each for each in messages if (known := address(each.key)) and known.kind == "weather"][::EVERY]:
         try:
             value = _decode_weather(message.payload)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             continue
         found.append((value.latitude_deg, value.longitude_deg))
     return [place for place in found if is_possible_fix(*np.array(place))]

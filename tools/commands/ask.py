@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.formatting import format_count
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.core.wire.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
@@ -87,7 +88,7 @@ def ask_outlook(
         answer = query_outlook(node, vehicle, given, payload, timeout_s)
     try:
         outlook = msgspec.json.decode(answer, type=Outlook)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise SettingsError(
             f"the answer for {vehicle} cannot be read: {error}; use the same version of `socast` as the consumer"
         ) from error

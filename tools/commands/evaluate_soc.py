@@ -91,7 +91,7 @@ def read_displays(path: Path) -> pd.DataFrame:
     """Return what healthy displays show, from the truth of a simulation with conditions."""
     try:
         displays = json.loads(path.read_text(encoding="utf-8")).get("displays")
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise SettingsError(f"{path} is not the truth of a simulation; give FILE.truth.json") from error
     if not displays:
         raise SettingsError(f"{path} holds no displays; simulate with --fleet or --conditions")

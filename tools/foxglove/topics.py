@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from socast.core.errors import RecordingError
-from socast.core.files import write_whole
+from socast.core.files import UNREADABLE, write_whole
 from socast.core.wire.messages import Finding, Forecast, Message, address
 from socast.core.wire.sample_reader import holds_samples, read_samples
 from socast.stream.closeable import Closeable
@@ -38,7 +38,6 @@ QUALITY_WORDS: Final = {
 """Counter of `socast.core.wire.messages.QualityCounts` -> level and words of its warning."""
 LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
 """Status of a finding -> level of its warning."""
-_LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 MOST_CARS: Final = 20
 """Largest number of cars that have a tab."""
 BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#999999"
@@ -226,7 +225,7 @@ class ViewerTopics:
                     prefix = key.removesuffix(f"findings/{known.identity}")
                     topic = f"{prefix}fleet/{known.identity.partition('/')[0]}/{LOG}"
                     yield Message(topic, _make_finding_line(_decode_finding(payload)), receipt_ns)
-            except _LOST:
+            except UNREADABLE:
                 continue
 
     def _make_lines(self, car: str, forecast: Forecast) -> Iterator[bytes]:

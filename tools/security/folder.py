@@ -325,7 +325,7 @@ def _read_json(file: Path, missing: str) -> dict[str, Any]:
         raise SettingsError(missing or f"{file} is missing; bring it back") from error
     except OSError as error:
         raise SettingsError(f"{file} cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(f"{file} is not plain JSON ({error}); take comments out of it") from error
     if not isinstance(content, dict):
         raise SettingsError(f"{file} is not a JSON object; bring back the file that `socast secure` wrote")

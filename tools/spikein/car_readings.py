@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from socast.core.batch import Floats, Ints
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows
 from socast.core.wire.json_scanner import POSITION
@@ -33,7 +34,6 @@ FIELDS: Final = (
 )
 """Fields of telemetry that an effect or its power needs."""
 _PLACES: Final = tuple(POSITION[name] for name in FIELDS)
-_UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 class CarReadings(NamedTuple):
@@ -82,7 +82,7 @@ class FleetReader:
             try:
                 if known is not None:
                     self._take(known.kind, known.identity, message.payload)
-            except (*_UNREADABLE, BatchError):
+            except (*UNREADABLE, BatchError):
                 pass
             self._count += 1
 

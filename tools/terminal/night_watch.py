@@ -19,6 +19,7 @@ from socast.core.diagnose.findings import list_changes
 from socast.core.diagnose.inference.events import read_events
 from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
@@ -152,7 +153,7 @@ def read_condition(path: Path) -> NightlyCondition | None:
         return None
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; remove it") from error
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise SettingsError(f"{path} is no condition of cars: {error}; remove it") from error
 
 
@@ -199,7 +200,7 @@ def read_findings(path: Path) -> list[Finding]:
         return []
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; name another file") from error
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise SettingsError(f"{path} is no file of findings: {error}; name another file") from error
 
 

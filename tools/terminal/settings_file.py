@@ -65,7 +65,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
     try:
         text = content.decode()
         settings = tomllib.loads(text)
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(explain_toml(file, content, error)) from error
     options = list_settings(command)
     annotations = inspect.signature(command.callback).parameters
@@ -110,6 +110,8 @@ def explain_toml(file: Path, content: bytes, error: Exception) -> str:
     """Return what is wrong with a file that is not TOML."""
     if isinstance(error, UnicodeDecodeError):
         return f"{file} is not UTF-8 from byte {error.start} on; save it as UTF-8"
+    if not isinstance(error, tomllib.TOMLDecodeError):  # nested too deeply, or a number of too many digits
+        return f"{file} is not TOML: {error}; write NAME = VALUE, each name once, and text in quotes"
     text = content.decode()
     words, _, end = str(error).rpartition(" (at ")
     at = re.fullmatch(r"line (\d+), column (\d+)\)", end)

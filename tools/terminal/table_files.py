@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from socast.core.errors import ModelError, SettingsError, SocastError
-from socast.core.files import replacing
+from socast.core.files import UNREADABLE, replacing
 from socast.core.fit.ride_blocks import list_parts
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
@@ -180,7 +180,7 @@ def is_dated(recording: Path) -> bool:
     """Return whether the dates of a recording are known, and not invented by `socast import --sequence`."""
     try:
         settings = msgspec.json.decode(McapSource(recording).metadata.get("settings") or "{}", type=dict[str, Any])
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return True
     return settings.get("dates") != INVENTED
 
@@ -197,7 +197,7 @@ def read_source(folder: Path) -> TableSource | None:
     """Return the source of the tables in a folder; None where none is noted."""
     try:
         return msgspec.json.decode((folder / QUALITY).read_bytes(), type=_Quality).source
-    except (OSError, msgspec.DecodeError):
+    except (OSError, *UNREADABLE):
         return None
 
 

@@ -14,6 +14,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from socast.core.errors import SocastError
+from socast.core.files import UNREADABLE
 from socast.tools.workbench.access import READY, refuse
 from socast.tools.workbench.connections import REQUEST_S
 from socast.tools.workbench.fleet.feed import FleetFeed
@@ -147,7 +148,7 @@ async def _read_object(request: Request, workbench: Workbench) -> dict[str, Any]
         return msgspec.json.decode(body, type=dict[str, Any])
     except TimeoutError as error:
         raise _RefusedError(408, f"the request is not whole after {REQUEST_S:g} s: send it again") from error
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNREADABLE as error:
         raise _RefusedError(400, f"the request holds no JSON object: {error}") from error
 
 

@@ -26,6 +26,7 @@ import pandas as pd
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.errors import AskError
 from socast.core.evaluate.soc.cases import normalise_keys
+from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.forecast.plan_tracker import SHORTEST_RIDE
 from socast.core.wire.arrow_batch import PREFIX
@@ -87,7 +88,7 @@ class PlanRecorder:
             return
         try:
             plan = self._decoder.decode(message.payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             return
         charges = [leg.charge_to_soc_pct for leg in plan.legs if leg.charge_to_soc_pct is not None]
         rides = [leg for leg in plan.legs if leg.charge_to_soc_pct is None]
@@ -154,7 +155,7 @@ class QueryTimes:
         """Return the slot of a sample, or of the first of several; None where a payload tells no time."""
         try:
             sample = self._decoder.decode(payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             return None
         if isinstance(sample, list):
             if not sample:

@@ -199,7 +199,7 @@ def parse_map(content: bytes, path: Path) -> ColumnMap:
     try:
         text = content.decode("utf-8-sig")
         tables = tomllib.loads(text)
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ImportFileError(explain_toml(path, content, error)) from error
     return _MapReader(path, text, tables).read()
 

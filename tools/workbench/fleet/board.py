@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from socast.core.files import UNREADABLE
 from socast.core.forecast.status import find_ended_shifts
 from socast.core.wire.live_fields import list_live_fields
 from socast.core.wire.messages import Address, Finding, Forecast, Interval, Message, address
@@ -231,7 +232,7 @@ class Board:
             return TOO_LARGE
         try:
             value = decode(payload)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             return UNDECODABLE
         if not _is_possible(value):
             return IMPOSSIBLE

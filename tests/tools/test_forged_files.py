@@ -1,0 +1,86 @@
+"""A forged file of any kind is refused in one line of bounded length."""
+
+import json
+from contextlib import suppress
+
+import pytest
+
+from socast.core import models
+from socast.core.errors import SocastError
+from socast.core.models.file import encode_model
+from socast.tools.cli import LONGEST_LINE
+from socast.tools.commands.evaluate_soc import read_displays
+from socast.tools.security.folder import _read_json
+from socast.tools.terminal.night_watch import read_condition, read_findings
+from socast.tools.terminal.table_files import read_source
+from tests.support.commands import refused
+
+DEPTH = 3000
+CONTENTS = {
+    "nothing": b"",
+    "zeros": bytes(50),
+    "another encoding": b"a = '\xff'",
+    "open lists": b"[" * DEPTH,
+    "nested lists": b"[" * DEPTH + b"]" * DEPTH,
+    "nested objects": b'{"a":' * DEPTH + b"1" + b"}" * DEPTH,
+    "nested TOML": b"a = " + b"[" * DEPTH + b"]" * DEPTH,
+    "nested TOML tables": b"a = " + b"{a=" * DEPTH + b"1" + b"}" * DEPTH,
+    "nested signs": b"a = " + b"-" * 100_000 + b"1",
+    "5,000 digits of TOML": b"a = 1" + b"0" * 5000,
+    "5,000 digits of JSON": b'{"a": 1' + b"0" * 5000 + b"}",
+    "lone surrogate": b'{"a": "\\ud800"}',
+    "path": b'"../../etc/passwd" = 1\n',
+    "long line": b"x" * 1_000_000,
+}
+COMMANDS = {
+    "model.json": ("history",),
+    "cars.toml": ("vehicles", "list", "--vehicles"),
+    "live.toml": ("live", "--settings"),
+    "map.toml": ("import", "csv", "recordings/logger.csv", "--map"),
+    "effects.py": ("effects", "check"),
+}
+
+
+@pytest.mark.parametrize("content", CONTENTS)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_forged_file_is_one_line(tmp_path, capsys, name, content):
+    if (name, content) == ("live.toml", "nothing"):
+        pytest.skip("an empty file sets nothing")
+    path = tmp_path / name
+    path.write_bytes(CONTENTS[content])
+    assert len(refused(capsys, *COMMANDS[name], path)) < LONGEST_LINE + 100
+
+
+@pytest.mark.parametrize("content", CONTENTS)
+@pytest.mark.parametrize(
+    "read", [read_findings, read_condition, read_displays, lambda path: _read_json(path, ""), read_source]
+)
+def test_forged_file_is_no_traceback_where_the_product_reads_its_own(tmp_path, read, content):
+    path = tmp_path / "quality.json"
+    path.write_bytes(CONTENTS[content])
+    with suppress(SocastError):
+        read(path)
+
+
+VALUES = ["1e400", "1" + "0" * 400, "NaN", "null", "[]", "{}", "true", '"\\ud800"', "[" * DEPTH + "]" * DEPTH]
+
+
+def list_places(value, place=()):
+    """Return the place of each value in nested lists and dictionaries."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [place, *(found for name, each in inner for found in list_places(each, (*place, name)))]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: value[:20])
+def test_model_file_with_a_forged_value_anywhere_is_read_or_refused(tmp_path, value):
+    content = json.loads(encode_model(models.load("extended_physical")))
+    path = tmp_path / "model.json"
+    for place in list_places(content)[1:]:
+        forged = json.loads(json.dumps(content))
+        inner = forged
+        for name in place[:-1]:
+            inner = inner[name]
+        inner[place[-1]] = "@"
+        path.write_text(json.dumps(forged).replace('"@"', value))
+        with suppress(SocastError):
+            models.load(path, verify=False)
