@@ -6,7 +6,8 @@ Without a step, the values of a car are Gaussian with the covariance K that its 
     log B(τ) = b² / (2 (A + 1/s²)) - log(1 + A s²) / 2,    A = h'K⁻¹h, b = h'K⁻¹(y - mean),
 
 where h is 0 before τ and 1 from then on. All dates are equally likely before the data. What wanders or changes by a
-constant rate is in K, so that a slow change is no step. Steps are searched one after another.
+constant rate is in K, so that a slow change is no step. Steps are searched one after another. A and b of all dates come
+from one pass of `socast.core.condition.level_smoother`.
 
 References
 ----------
@@ -18,10 +19,10 @@ auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the Americ
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats
-from socast.core.condition.level_model import LEVEL_SD, MOST_CARS, YEAR, Series, Wandering, estimate_wandering
+from socast.core.condition.level_model import MOST_CARS, YEAR, Series, Wandering, estimate_wandering
+from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
@@ -105,31 +106,23 @@ def find_steps(
     n = len(value)
     if n < 2 * LEAST_SIDE:
         return []
-    time = dates - dates[0]
-    rate = found.rate / YEAR
-    covariance = LEVEL_SD**2 + rate**2 * np.outer(time, time) + np.diag(variance)
-    covariance += found.wander**2 / YEAR * np.minimum.outer(time, time)
     steps: list[LevelStep] = []
+    gaps, shocks, variances = np.diff(dates, prepend=dates[0]), np.zeros(n), found.compute_variances()
     mean = float(np.average(value, weights=1.0 / variance))
     for _ in range(MOST_STEPS):
-        step, at = _find_step(dates, value - mean, covariance)
+        car = smooth_level(value, variance, gaps, shocks, start=mean, variances=variances)
+        step, at = _find_step(dates, car)
         if step.probability < least:
             break
         steps.append(step)
-        after = (np.arange(n) >= at).astype(np.float64)
-        covariance = covariance + STEP_SD**2 * np.outer(after, after)
+        shocks[at] += STEP_SD**2
     return sorted(steps)
 
 
-def _find_step(dates: Floats, value: Floats, covariance: Floats) -> tuple[LevelStep, int]:
+def _find_step(dates: Floats, car: SmoothedLevel) -> tuple[LevelStep, int]:
     """Return the most likely step, and the place of its date."""
-    n = len(value)
-    inverse = cho_solve(cho_factor(covariance, lower=True), np.eye(n))
-    weighted = inverse @ value
-    match = np.cumsum(weighted[::-1])[::-1]
-    blocks = np.cumsum(np.cumsum(inverse[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
-    places = np.arange(LEAST_SIDE, n - LEAST_SIDE + 1)
-    precise, match = np.diag(blocks)[places] + STEP_SD**-2.0, match[places]
+    places = np.arange(LEAST_SIDE, len(dates) - LEAST_SIDE + 1)
+    precise, match = car.information[places] + STEP_SD**-2.0, car.score[places]
     evidence = 0.5 * match**2 / precise - 0.5 * np.log(precise * STEP_SD**2)
     prior = STEPS_A_YEAR * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
     odds = prior * np.exp(np.clip(evidence, -50.0, 600.0))
