@@ -210,7 +210,7 @@ def smooth_levels(series: Series, found: Wandering, breaks: Sequence[Collection[
         known = np.isfinite(value)
         if not known.any():
             continue
-        shocks = np.isin(series.dates, list(breaks[i]) if breaks else []) * LEVEL_SD**2
+        shocks = np.where(np.isin(series.dates, list(breaks[i]) if breaks else []), LEVEL_SD**2, 0.0)
         car = smooth_level(
             value, noise[i], gaps, shocks, start=float(value[known][0]), variances=found.compute_variances()
         )

@@ -191,7 +191,7 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
         if len(known) < 2 * LEAST_SIDE:
             continue
         smooth = partial(smooth_level, value, noise[i], gaps, start=float(value[known[0]]), variances=variances)
-        broken = np.isin(series.dates, [each.since for each in steps[i]]) * LEVEL_SD**2
+        broken = np.where(np.isin(series.dates, [each.since for each in steps[i]]), LEVEL_SD**2, 0.0)
         without = smooth(broken)
         weighed = _weigh_steps(series.dates[known].astype(np.float64), SmoothedLevel(*np.array(without)[:, known]))
         likely, total = weighed.rank_likely(), float(weighed.odds.sum())

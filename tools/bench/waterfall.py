@@ -14,7 +14,7 @@ Speeding up and slowing are those from sample to sample of the logger: what chan
 """
 
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
@@ -237,18 +237,20 @@ def measure_fleet(seed: int, physics: str) -> list[TermEnergy]:
 
 def sum_terms(truth: Truth, rides: set[tuple[str, str]]) -> dict[str, float]:
     """Return the true energy of each term at the battery over some rides, named by car and ride. [kWh]"""
-    out: Counter[str] = Counter()
+    out: dict[str, float] = defaultdict(float)
     for name in truth.cars:
-        sums: Counter[str] = Counter()
+        sums: dict[str, float] = defaultdict(float)
         for ride in truth.rides:
             if ride["vehicle_id"] == name and (name, ride["ride_id"]) in rides:
-                sums.update(ride["terms_kwh"])
+                for term, energy in ride["terms_kwh"].items():
+                    sums[term] += energy
         out["accessories"] += sums.pop("accessories", 0.0)
         driven, losses, braked, lost = (
             sums.pop(key, 0.0) for key in ("driven", "driving_losses", "braked", "braking_losses")
         )
         cost = 1.0 + losses / driven if driven else 1.0
-        out.update({term: cost * energy for term, energy in sums.items()})
+        for term, energy in sums.items():
+            out[term] += cost * energy
         out["braking"] += (cost - 1.0) * braked + lost
     return dict(out)
 
