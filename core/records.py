@@ -7,6 +7,7 @@ are made from the declared fields, so a new field is declared once.
 
 from collections.abc import Mapping, Sequence
 from functools import cache
+from math import isfinite
 from typing import Any, Final, NamedTuple, get_type_hints
 
 import msgspec
@@ -124,7 +125,7 @@ def _make_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):
-        return float(value) if np.isfinite(value) else None
+        return float(value) if isfinite(value) else None
     if isinstance(value, list | tuple):
         return type(value)(map(_make_plain, value)) if type(value) in {list, tuple} else tuple(map(_make_plain, value))
     if isinstance(value, Mapping):

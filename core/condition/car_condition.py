@@ -21,8 +21,8 @@ from socast.core.condition.car_days import (
     subtract_siblings,
 )
 from socast.core.condition.known_events import place_events
-from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering, smooth_levels
-from socast.core.condition.level_steps import LevelStep, separate_steps, subtract_steps
+from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering
+from socast.core.condition.level_steps import LevelStep, separate_steps, smooth_between_steps, subtract_steps
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
 from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.evaluate.compare.models import select_rides
@@ -93,7 +93,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
 def follow(series: Series, prior: Wandering) -> Followed:
     """Return the paths and the steps of a quantity."""
     found, heavy, steps = separate_steps(series, prior)
-    path = smooth_levels(heavy, found, [[each.since for each in of_car] for of_car in steps])
+    path = smooth_between_steps(heavy, found, steps)
     return Followed(series, path, steps, found)
 
 
@@ -114,7 +114,7 @@ def follow_beside_siblings(series: Series, models: list[str]) -> Followed:
         found, heavy, steps = separate_steps(beside, CONSUMPTION)
         open_cars = [i for i, each in enumerate(steps) if each and i not in explained and counts[models[i]] <= FEW_CARS]
         if not open_cars or len(explained) >= FEW_CARS:
-            path = smooth_levels(heavy, found, [[each.since for each in of_car] for of_car in steps])
+            path = smooth_between_steps(heavy, found, steps)
             return Followed(beside, path, steps, found)
         clearest = max(open_cars, key=lambda i: max(abs(each.size) / each.sd for each in steps[i]))
         explained = {i: steps[i] for i in (*explained, clearest)}

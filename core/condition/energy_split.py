@@ -24,13 +24,14 @@ from socast.core.effects import Effect, get_library, group_by_topic
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import ComparedRides, select_rides
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
+from socast.core.fit.model_summary import find_freedom
 from socast.core.formatting import format_count
-from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term
+from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.records import Record, declare
 from socast.core.stats.clustered import compute_clustered_ratio
-from socast.core.stats.scores import NORMAL_95
+from socast.core.stats.scores import compute_half_widths
 
 FLEET: Final = "fleet"
 """Way to group rides that leaves them together."""
@@ -165,20 +166,21 @@ class _Uncertainty(NamedTuple):
 
     columns: Floats
     keys: NDArray[np.object_]
-    fits: Mapping[str, Fit]
+    model: LinearModel
 
     def compute_half_widths(self, rows: NDArray[np.bool_]) -> tuple[list[float | None], float | None]:
         """Return half of the 95 % intervals of the energies of the terms, and of their sum. [kWh]"""
         terms = self.columns.shape[1]
         of_terms, of_sum = np.zeros(terms), 0.0
         for key in set(self.keys[rows]):
-            covariance = self.fits[key].covariance
+            covariance = self.model.fits[key].covariance
             if covariance is None:
                 return [None] * terms, None
             sums, matrix = self.columns[rows & (self.keys == key)].sum(axis=0), np.array(covariance)
-            of_terms += np.diag(matrix) * sums**2
-            of_sum += float(sums @ matrix @ sums)
-        return (NORMAL_95 * np.sqrt(of_terms)).tolist(), NORMAL_95 * sqrt(max(of_sum, 0.0))
+            width = float(compute_half_widths(1.0, max(find_freedom(self.model, key), 1)))
+            of_terms += width**2 * np.diag(matrix) * sums**2
+            of_sum += width**2 * float(sums @ matrix @ sums)
+        return np.sqrt(of_terms).tolist(), sqrt(max(of_sum, 0.0))
 
 
 class _Scale(NamedTuple):
@@ -316,7 +318,7 @@ def _find_uncertainty(model: LinearModel, rides: pd.DataFrame) -> _Uncertainty:
     kinds = rides[VEHICLE_MODEL].to_numpy(dtype=object)
     keys = np.array([kind if kind in model.fits else ANY for kind in kinds], dtype=object)
     columns = np.reshape([parts[term.name] for term in model.terms], (len(model.terms), len(rides))).T
-    return _Uncertainty(columns, keys, model.fits)
+    return _Uncertainty(columns, keys, model)
 
 
 def _sum_group(

@@ -8,8 +8,8 @@ with noise of a variance that is the same for all days, and one that falls with 
 are the same for all cars. They are estimated by the likelihood of all series together, with a weak prior. A value far
 off has a larger variance, as if noise was of Student's t: a day of a car may have been another kind of day.
 
-A filter over all cars at once gives the likelihood. The paths are those of the filter and the smoother of filterpy,
-which is imported where they run: its import takes a second.
+A filter over all cars at once gives the likelihood. `socast.core.condition.level_smoother` gives the paths; the filter
+and the smoother of filterpy are its reference in tests.
 
 References
 ----------
@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 
 from socast.core.batch import Floats, Ints
+from socast.core.condition.level_smoother import smooth_level
 
 YEAR: Final = 365.25
 """Length of a year. [d]"""
@@ -85,6 +86,10 @@ class Wandering(NamedTuple):
     of_amount: float
     wander: float
     rate: float
+
+    def compute_variances(self) -> tuple[float, float, float]:
+        """Return the variance of the first level, of its wandering in a day, and of the rate. [1], [1/d], [1/d^2]"""
+        return LEVEL_SD**2, self.wander**2 / YEAR, (self.rate / YEAR) ** 2
 
 
 CONSUMPTION: Final = Wandering(0.04, 0.15, 0.01, 0.03)
@@ -193,34 +198,22 @@ def _filter_levels(value: Any, noise: Any, gaps: Any, wander: float, rate_varian
 
 
 def smooth_levels(series: Series, found: Wandering, breaks: Sequence[Collection[int]] = ()) -> Path:
-    """Return the smoothed paths of the levels of cars, by the filter and the smoother of filterpy.
+    """Return the smoothed paths of the levels of cars.
 
     `breaks` are the ordinals at which the level of each car changes suddenly, by an unknown amount.
     """
-    from filterpy.kalman import KalmanFilter  # noqa: PLC0415 - its import takes a second
-
     n, days = series.value.shape
     noise = series.compute_variance(found.of_day**2, found.of_amount**2)
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
-    moves = [np.array([[1.0, dt], [0.0, 1.0]]) for dt in gaps.tolist()]
-    wanders = [np.diag([found.wander**2 / YEAR * dt, 0.0]) for dt in gaps.tolist()]
     out = Path(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
-    for i in range(n):
-        known = np.isfinite(series.value[i])
+    for i, value in enumerate(series.value):
+        known = np.isfinite(value)
         if not known.any():
             continue
-        car = KalmanFilter(dim_x=2, dim_z=1)
-        car.x = np.array([[series.value[i][known][0]], [0.0]])
-        car.P = np.diag([LEVEL_SD**2, (found.rate / YEAR) ** 2])
-        car.H = np.array([[1.0, 0.0]])
-        values = [value if is_known else None for value, is_known in zip(series.value[i].tolist(), known, strict=True)]
-        broken = set(breaks[i]) if breaks else set()
-        changes = [
-            q + np.diag([LEVEL_SD**2, 0.0]) if day in broken else q
-            for q, day in zip(wanders, series.dates.tolist(), strict=True)
-        ]
-        means, covariances, _, _ = car.batch_filter(values, Fs=moves, Qs=changes, Rs=noise[i].tolist())
-        means, covariances, _, _ = car.rts_smoother(means, covariances, Fs=moves, Qs=changes)
-        out.level[i], out.sd[i] = means[:, 0, 0], np.sqrt(np.maximum(covariances[:, 0, 0], 0.0))
-        out.rate[i], out.rate_sd[i] = YEAR * means[-1, 1, 0], YEAR * np.sqrt(max(covariances[-1, 1, 1], 0.0))
+        shocks = np.where(np.isin(series.dates, list(breaks[i]) if breaks else []), LEVEL_SD**2, 0.0)
+        car = smooth_level(
+            value, noise[i], gaps, shocks, start=float(value[known][0]), variances=found.compute_variances()
+        )
+        out.level[i], out.sd[i] = car.level, np.sqrt(np.maximum(car.variance, 0.0))
+        out.rate[i], out.rate_sd[i] = YEAR * car.rate[-1], YEAR * np.sqrt(max(car.rate_variance[-1], 0.0))
     return out

@@ -6,7 +6,8 @@ Without a step, the values of a car are Gaussian with the covariance K that its 
     log B(τ) = b² / (2 (A + 1/s²)) - log(1 + A s²) / 2,    A = h'K⁻¹h, b = h'K⁻¹(y - mean),
 
 where h is 0 before τ and 1 from then on. All dates are equally likely before the data. What wanders or changes by a
-constant rate is in K, so that a slow change is no step. Steps are searched one after another.
+constant rate is in K, so that a slow change is no step. Steps are searched one after another. A and b of all dates come
+from one pass of `socast.core.condition.level_smoother`.
 
 References
 ----------
@@ -15,13 +16,24 @@ auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the Americ
 773, DOI 10.1080/01621459.1995.10476572, on evidence.
 """
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from socast.core.batch import Floats
-from socast.core.condition.level_model import LEVEL_SD, MOST_CARS, YEAR, Series, Wandering, estimate_wandering
+from socast.core.batch import Floats, Ints
+from socast.core.condition.level_model import (
+    LEVEL_SD,
+    MOST_CARS,
+    YEAR,
+    Path,
+    Series,
+    Wandering,
+    estimate_wandering,
+    smooth_levels,
+)
+from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
@@ -31,6 +43,8 @@ REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
 SUSPECTED: Final = 0.3
 """Probability of a step from which it does not count as wandering. [1]"""
+WEIGHED: Final = 0.1
+"""Probability of a step from which the level is a mean over the step and none. [1]"""
 MOST_STEPS: Final = 3
 """Largest number of steps of a car."""
 LEAST_SIDE: Final = 3
@@ -105,44 +119,95 @@ def find_steps(
     n = len(value)
     if n < 2 * LEAST_SIDE:
         return []
-    time = dates - dates[0]
-    rate = found.rate / YEAR
-    covariance = LEVEL_SD**2 + rate**2 * np.outer(time, time) + np.diag(variance)
-    covariance += found.wander**2 / YEAR * np.minimum.outer(time, time)
     steps: list[LevelStep] = []
+    gaps, shocks, variances = np.diff(dates, prepend=dates[0]), np.zeros(n), found.compute_variances()
     mean = float(np.average(value, weights=1.0 / variance))
     for _ in range(MOST_STEPS):
-        step, at = _find_step(dates, value - mean, covariance)
+        car = smooth_level(value, variance, gaps, shocks, start=mean, variances=variances)
+        step, at = _find_step(dates, car)
         if step.probability < least:
             break
         steps.append(step)
-        after = (np.arange(n) >= at).astype(np.float64)
-        covariance = covariance + STEP_SD**2 * np.outer(after, after)
+        shocks[at] += STEP_SD**2
     return sorted(steps)
 
 
-def _find_step(dates: Floats, value: Floats, covariance: Floats) -> tuple[LevelStep, int]:
-    """Return the most likely step, and the place of its date."""
-    n = len(value)
-    inverse = cho_solve(cho_factor(covariance, lower=True), np.eye(n))
-    weighted = inverse @ value
-    match = np.cumsum(weighted[::-1])[::-1]
-    blocks = np.cumsum(np.cumsum(inverse[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
-    places = np.arange(LEAST_SIDE, n - LEAST_SIDE + 1)
-    precise, match = np.diag(blocks)[places] + STEP_SD**-2.0, match[places]
+class _Evidence(NamedTuple):
+    """Hold the steps that may begin on n places of a car.
+
+    Parameters
+    ----------
+    places, odds, sizes, variances : (n,)
+        Place among the measurements; odds against no step [1]; size and its variance [1].
+    """
+
+    places: Ints
+    odds: Floats
+    sizes: Floats
+    variances: Floats
+
+    def rank_likely(self) -> Ints:
+        """Return the likeliest ones, which hold the date with a probability of `DATE_SHARE`, by their odds."""
+        chances = self.odds / self.odds.sum()
+        order = np.argsort(-chances, kind="stable")
+        return order[: int(np.searchsorted(np.cumsum(chances[order]), DATE_SHARE)) + 1]
+
+
+def _weigh_steps(dates: Floats, car: SmoothedLevel) -> _Evidence:
+    """Return the evidence of a step on each date with enough measurements before and after."""
+    places = np.arange(LEAST_SIDE, len(dates) - LEAST_SIDE + 1)
+    precise, match = car.information[places] + STEP_SD**-2.0, car.score[places]
     evidence = 0.5 * match**2 / precise - 0.5 * np.log(precise * STEP_SD**2)
     prior = STEPS_A_YEAR * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
-    odds = prior * np.exp(np.clip(evidence, -50.0, 600.0))
-    total = float(odds.sum())
-    chances = odds / total
-    order = np.argsort(-chances, kind="stable")
-    inside = order[: int(np.searchsorted(np.cumsum(chances[order]), DATE_SHARE)) + 1]
-    best = int(np.argmax(chances))
-    sizes = match / precise
-    size = float(chances @ sizes)
-    sd = float(np.sqrt(chances @ (1.0 / precise + (sizes - size) ** 2)))
-    since = dates[places].astype(np.int64)
+    return _Evidence(places, prior * np.exp(np.clip(evidence, -50.0, 600.0)), match / precise, 1.0 / precise)
+
+
+def _find_step(dates: Floats, car: SmoothedLevel) -> tuple[LevelStep, int]:
+    """Return the most likely step, and the place of its date."""
+    found = _weigh_steps(dates, car)
+    total = float(found.odds.sum())
+    chances, inside, best = found.odds / total, found.rank_likely(), int(np.argmax(found.odds))
+    size = float(chances @ found.sizes)
+    sd = float(np.sqrt(chances @ (found.variances + (found.sizes - size) ** 2)))
+    since = dates[found.places].astype(np.int64)
     step = LevelStep(
         int(since[best]), int(since[inside].min()), int(since[inside].max()), size, sd, total / (1.0 + total)
     )
-    return step, int(places[best])
+    return step, int(found.places[best])
+
+
+def smooth_between_steps(series: Series, found: Wandering, steps: list[list[LevelStep]]) -> Path:
+    """Return the smoothed paths of cars with the steps that were found, averaged over one more step and none.
+
+    A step that is too uncertain to be reported is weighed by its probability, if that is at least `WEIGHED`, so that
+    the interval holds what the level would be with it and without. Level and rate are means of this mixture, with its
+    standard deviations.
+    """
+    path = smooth_levels(series, found, [[each.since for each in of_car] for of_car in steps])
+    noise, variances = series.compute_variance(found.of_day**2, found.of_amount**2), found.compute_variances()
+    gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
+    for i, value in enumerate(series.value):
+        known = np.flatnonzero(np.isfinite(value))
+        if len(known) < 2 * LEAST_SIDE:
+            continue
+        smooth = partial(smooth_level, value, noise[i], gaps, start=float(value[known[0]]), variances=variances)
+        broken = np.where(np.isin(series.dates, [each.since for each in steps[i]]), LEVEL_SD**2, 0.0)
+        without = smooth(broken)
+        weighed = _weigh_steps(series.dates[known].astype(np.float64), SmoothedLevel(*np.array(without)[:, known]))
+        likely, total = weighed.rank_likely(), float(weighed.odds.sum())
+        if total / (1.0 + total) < WEIGHED:
+            continue
+        chances = weighed.odds[likely] / weighed.odds[likely].sum() * total / (1.0 + total)
+        shocks = [broken + STEP_SD**2 * (np.arange(len(value)) == place) for place in known[weighed.places[likely]]]
+        runs, weights = [without, *map(smooth, shocks)], np.array([1.0 / (1.0 + total), *chances])
+        path.level[i], path.sd[i] = _mix(weights, [run.level for run in runs], [run.variance for run in runs])
+        rate, rate_sd = _mix(weights, [run.rate[-1:] for run in runs], [run.rate_variance[-1:] for run in runs])
+        path.rate[i], path.rate_sd[i] = YEAR * rate[0], YEAR * rate_sd[0]
+    return path
+
+
+def _mix(weights: Floats, means: Sequence[Floats], variances: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the mean and the standard deviation of mixtures."""
+    mean = weights @ np.array(means)
+    square = weights @ (np.maximum(variances, 0.0) + (np.array(means) - mean) ** 2)
+    return mean, np.sqrt(square)

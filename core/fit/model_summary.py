@@ -60,13 +60,21 @@ def summarise_model(
     )
 
 
+def has_priors(model: LinearModel) -> bool:
+    """Return whether the coefficients were fitted with priors."""
+    return isinstance(RECIPES.get(model.recipe), WindowRecipe)
+
+
+def find_freedom(model: LinearModel, key: str) -> int:
+    """Return the degrees of freedom of the standard errors of a fit."""
+    freedom = (model.fits[key].clusters or model.fits[key].rides) - 1
+    return max(freedom, LEAST_PRIOR_FREEDOM) if has_priors(model) else freedom
+
+
 def list_coefficients(model: LinearModel, key: str) -> list[FittedCoefficient]:
     """Return the coefficients of a fit; the widths of their intervals come from Student's t distribution."""
-    fitted, ranges = model.fits[key], get_plausible_ranges(model, key)
-    freedom = (fitted.clusters or fitted.rides) - 1
-    bounded = isinstance(RECIPES.get(model.recipe), WindowRecipe)
-    if bounded:
-        freedom = max(freedom, LEAST_PRIOR_FREEDOM)
+    fitted, ranges, freedom = model.fits[key], get_plausible_ranges(model, key), find_freedom(model, key)
+    bounded = has_priors(model)
     made = []
     for i, (term, value) in enumerate(zip(model.terms, fitted.coefficients, strict=True)):
         ends: tuple[float, float] | None = None

@@ -98,12 +98,12 @@ def judge_steps(cars: int, days: int, size: float) -> list[list[str]]:
         now.append(abs(beside - truth) <= NORMAL_95 * sd)
     what = f"step of {100 * size:.0f} % in one of {cars} cars, {days} days"
     return [
-        [f"{what}: found", "80 %", _share(found)],
-        [f"{what}: dated within {NEAR} days with driving", "75 %", _share(near)],
-        [f"{what}: 90 % interval holds the date", "88 to 95 %", _share(held)],
-        [f"{what}: 95 % interval holds the size", "93 to 97 %", _share(sized)],
-        [f"{what}: 95 % interval holds the last level beside the others", "93 to 97 %", _share(now)],
-        [f"{what}: other cars with a step", "0.6 %", _share(false)],
+        [f"{what}: found", "80 %", write_share(found)],
+        [f"{what}: dated within {NEAR} days with driving", "75 %", write_share(near)],
+        [f"{what}: 90 % interval holds the date", "88 to 95 %", write_share(held)],
+        [f"{what}: 95 % interval holds the size", "93 to 97 %", write_share(sized)],
+        [f"{what}: 95 % interval holds the last level beside the others", "93 to 97 %", write_share(now)],
+        [f"{what}: other cars with a step", "0.6 %", write_share(false)],
     ]
 
 
@@ -117,13 +117,13 @@ def judge_rates(what: str, follow_fleet: Callable[[int], Followed], truth: float
         others += (off[1:] <= NORMAL_95 * path.rate_sd[1:]).tolist()
         told += (off[1:] > CLEAR_SDS * path.rate_sd[1:]).tolist()
     return [
-        [f"{what}: 95 % interval holds the rate", "93 to 97 %", _share(held)],
-        [f"{what}: 95 % interval holds the rates of the others", "93 to 97 %", _share(others)],
-        [f"{what}: others further than {CLEAR_SDS:.0f} standard deviations from the truth", "0.6 %", _share(told)],
+        [f"{what}: 95 % interval holds the rate", "93 to 97 %", write_share(held)],
+        [f"{what}: 95 % interval holds the rates of the others", "93 to 97 %", write_share(others)],
+        [f"{what}: others further than {CLEAR_SDS:.0f} standard deviations from the truth", "0.6 %", write_share(told)],
     ]
 
 
-def _share(values: Sequence[bool]) -> str:
+def write_share(values: Sequence[bool]) -> str:
     """Return a share with its 95 % interval and its number of cases."""
     if not values:
         return "none"

@@ -30,7 +30,7 @@ from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.elevation_smoother import smooth_elevation
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.silences import FleetSilences, select_inputs
-from socast.core.condition.level_model import CONSUMPTION, Series, estimate_wandering
+from socast.core.condition.level_model import CONSUMPTION, Series, estimate_wandering, smooth_levels
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.models.trees import Trees
 from socast.core.pipeline import Pipeline
@@ -142,7 +142,7 @@ def _run_independent_kernels() -> None:
     Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
     _record_and_read(_make_messages())
     series = Series(np.arange(2), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2)))
-    estimate_wandering(series, CONSUMPTION)
+    smooth_levels(*estimate_wandering(series, CONSUMPTION)[::-1])
 
 
 def _make_messages() -> list[Message]:

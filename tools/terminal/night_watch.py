@@ -122,7 +122,7 @@ def name_condition_files(watch: Path) -> tuple[Path, Path]:
 def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel, events: Sequence[KnownEvent] = ()) -> int:
     """Assess the condition of the cars over the last year of rides, write it and its page, and return their number.
 
-    The year bounds the cost of a night: that of a car grows with the third power of its dates.
+    The year bounds the cost of a night.
     """
     from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
     from socast.tools.report import condition, page  # noqa: PLC0415 - figures take seconds to import

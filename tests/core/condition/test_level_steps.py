@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from socast.core.condition.car_days import subtract_siblings
-from socast.core.condition.level_model import CONSUMPTION, Wandering
-from socast.core.condition.level_steps import find_steps, separate_steps, subtract_steps
+from socast.core.condition.level_model import CONSUMPTION, Series, Wandering, smooth_levels
+from socast.core.condition.level_steps import (
+    _mix,
+    find_steps,
+    separate_steps,
+    smooth_between_steps,
+    subtract_steps,
+)
 from socast.tools.bench.condition_fleets import FIRST, make_fleet
 
 QUIET = Wandering(0.03, 0.0, 0.01, 0.03)
@@ -58,3 +64,23 @@ def test_steps_are_subtracted():
     without = subtract_steps(fleet, steps_of(fleet))
     before, after = np.nanmean(without.value[0, :60]), np.nanmean(without.value[0, 60:])
     assert abs(after - before) < 0.03
+
+
+def test_a_step_that_is_not_sure_widens_the_interval_of_the_level():
+    rng, dates = np.random.default_rng(6), np.arange(40)
+    value = 0.03 * rng.normal(size=(2, 40))
+    value[0] += np.where(dates >= 30, 0.04, 0.0)
+    series = Series(FIRST + dates, value, np.ones((2, 40)), np.zeros((2, 40)))
+    assert find_steps(dates.astype(float), value[0], np.full(40, 0.03**2), QUIET) == []
+    plain, mixed = smooth_levels(series, QUIET), smooth_between_steps(series, QUIET, [[], []])
+    assert plain.level[0, -1] < mixed.level[0, -1] < 0.04
+    assert mixed.sd[0, -1] > 1.3 * plain.sd[0, -1]
+    assert mixed.sd[1, -1] < 1.15 * plain.sd[1, -1]
+    assert mixed.level[1] == pytest.approx(plain.level[1], abs=0.005)
+
+
+def test_mixture_is_that_of_the_models_with_and_without_a_step():
+    weights, means, variances = np.array([0.75, 0.25]), [np.zeros(1), np.full(1, 0.08)], [np.full(1, 1e-4)] * 2
+    mean, sd = _mix(weights, means, variances)
+    assert mean == pytest.approx(0.02)
+    assert sd**2 == pytest.approx(1e-4 + 0.75 * 0.02**2 + 0.25 * 0.06**2)

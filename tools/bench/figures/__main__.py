@@ -50,6 +50,9 @@ MEASUREMENTS: Final = {
         10, (f"{_BENCH}.error_location", "--publish", "--seeds", "7421-7432", "--keep", "build/location")
     ),
     "condition": Measurement(2, (f"{_BENCH}.condition_fleets",)),
+    "waterfall": Measurement(
+        10, (f"{_BENCH}.waterfall", "--publish", "--seeds", "3301-3310", "--json", "build/waterfall.json")
+    ),
     "siblings": Measurement(10, (f"{_BENCH}.siblings", "--publish", "--seeds", "325-334", "--keep", "build/siblings")),
     "coefficients": Measurement(
         10, (f"{_BENCH}.coefficients", "--publish", "--seeds", "3201-3260", "--json", "build/coefficients.json")
