@@ -1,7 +1,4 @@
-"""Write files whole: a file has its old content or its new content, however the process or the disk fails.
-
-What others wrote may be damaged; `UNREADABLE` is what reading it raises.
-"""
+"""Write files whole: a file has its old content or its new content, however the process or the disk fails."""
 
 import errno
 import os
@@ -11,10 +8,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
-UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-"""What `msgspec` raises for content that is damaged, has another form, is not UTF-8 or is nested too deeply."""
 _LONGEST: Final = 50  # characters of a name, so that the name of the new file is no longer than a folder allows
 
 

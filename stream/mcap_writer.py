@@ -12,7 +12,6 @@ References
 MCAP format specification, https://mcap.dev/spec.
 """
 
-import errno
 import json
 import os
 import struct
@@ -43,6 +42,7 @@ from mcap.records import (
 
 from socast.core.errors import RecordingError
 from socast.core.files import replacing
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import BATCH, KINDS, Message, address
 from socast.core.wire.schema import make_schema
 from socast.stream.closeable import Closeable
@@ -72,7 +72,7 @@ def _find_publish_time(payload: bytes, receipt_ns: int) -> int:
         stamp = _stamp(payload)
         time_s = (stamp[0] if isinstance(stamp, list) else stamp).time_s
         time_ns = round(time_s * 1e6) * 1000  # a float of Unix time resolves 0.25 µs
-    except (msgspec.MsgspecError, UnicodeDecodeError, IndexError, OverflowError, RecursionError):
+    except (*UNREADABLE, IndexError, OverflowError):
         return receipt_ns
     return time_ns if 0 <= time_ns < 1 << 64 else receipt_ns
 
@@ -100,7 +100,8 @@ class McapSink(Closeable):
     written : int
         Size of the file so far, with the uncompressed size of the unfinished chunk. [B]
     messages, kept : int
-        Number of messages that were put, and number of messages that are in the file; none once `sync` missed it.
+        Number of messages that were put, and number of those in the file; after `sync` found the file removed or moved,
+        of those that were in it at the `sync` before.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class McapSink(Closeable):
         file: Path | None = None,
     ) -> None:
         self.path = Path(path)
-        self.messages = self.kept = 0
+        self.messages = self.kept = self._synced = 0
         self._chunk_bytes = chunk_bytes
         self._viewer_schemas = viewer_schemas or {}
         self._compress = zstandard.ZstdCompressor().compress
@@ -188,14 +189,15 @@ class McapSink(Closeable):
     def sync(self) -> None:
         """Write the unfinished chunk, and return once the operating system has everything on disk.
 
-        A file that was removed, or whose folder was, still takes data, and nobody finds them: it is refused.
+        A file that was removed or moved still takes data, which nobody would find there: `RecordingError`.
         """
         self._end_chunk()
         with _explain(self.path):
             os.fdatasync(self._file.fileno())
-            if not self._is_found():
-                self.kept = 0
-                raise OSError(errno.ENOENT, "the file was removed or moved")
+        if not self._is_found():
+            self.kept = self._synced
+            raise RecordingError(f"{self.path} was removed or moved: bring its folder back, and another file begins")
+        self._synced = self.kept
 
     def close(self) -> None:
         """Write the summary and close the file."""
@@ -217,7 +219,7 @@ class McapSink(Closeable):
         """Return whether the path of the file that is written still leads to it."""
         try:
             return os.path.samestat(os.fstat(self._file.fileno()), Path(self._file.name).stat())
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return False
 
     def _open(self, key: str, *, for_viewers: bool) -> int:

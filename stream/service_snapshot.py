@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from socast.core.files import UNREADABLE
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.pipeline import Pipeline
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
@@ -148,7 +148,9 @@ class ServiceSnapshot:
         "socast_dropped", "Messages dropped by a limit.", "limit", default=None
     )
     recorded: int | None = _counter("socast_recorded", "Messages that were recorded.", default=None)
-    unrecorded: int | None = _counter("socast_unrecorded", "Messages that the disk refused.", default=None)
+    unrecorded: int | None = _counter(
+        "socast_unrecorded", "Messages that the disk refused, or whose recording vanished.", default=None
+    )
     is_catching_up: bool | None = _gauge(
         "socast_catching_up", "1 while live samples wait for what the caches of publishers hold.", default=None
     )

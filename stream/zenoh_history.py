@@ -26,6 +26,7 @@ import zenoh
 from zenoh import handlers
 
 from socast.core.settings import Limits
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_times
 from socast.stream.zenoh_session import Node, format_zenoh_error
 
@@ -396,7 +397,7 @@ def _find_time(sample: Any) -> float:
             return time_s * 2.0**32 if isfinite(time_s) else -inf
         sent = _sent(payload)
         return (sent[0] if isinstance(sent, list) else sent).time_s * 2.0**32
-    except (BatchError, msgspec.MsgspecError, UnicodeDecodeError, IndexError, RecursionError):
+    except (*UNREADABLE, BatchError, IndexError):
         return -inf
 
 

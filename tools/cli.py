@@ -129,7 +129,7 @@ SHORTAGES: Final = {
 }
 """What to say where the operating system gives a process no more of something, by its reason."""
 LONGEST_LINE: Final = 2000
-"""Longest error message that is printed whole, because it may quote a file. [characters]"""
+"""Longest error message that is printed whole; of a longer one, which may quote a file, the middle is left out."""
 
 _SETTINGS: Final = "socast.tools.terminal.settings_file"
 """Module of settings files; it is imported only by commands that take one."""
@@ -270,7 +270,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(2) from None
     except MemoryError as error:
         print(
-            _one_line(f"memory is used up: {str(error) or 'no more is given'}; give more, or less data"),
+            _one_line(f"memory is used up ({str(error) or 'no more is given'}): free some, or read fewer recordings"),
             file=sys.stderr,
         )
         raise SystemExit(2) from None

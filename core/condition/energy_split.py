@@ -7,14 +7,14 @@ therefore add up to the measured energy, in every group of rides.
 The distance of a part is its energy over the present mean consumption. The distances therefore add up to that driven.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import inf, isfinite, sqrt
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from msgspec import UNSET
+from msgspec import UNSET, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -40,7 +40,7 @@ GROUP_COLUMNS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Other ways to group rides -> the column of the ride table."""
 SPEED_CLASSES: Final[Mapping[float, str]] = MappingProxyType(
-    {20.0: "0 to 20 km/h", 40.0: "20 to 40 km/h", 60.0: "40 to 60 km/h", inf: "60 km/h and more"}
+    {20.0: "0–20 km/h", 40.0: "20–40 km/h", 60.0: "40–60 km/h", inf: "60 km/h or more"}
 )
 """Mean speed, stops included, below which a ride belongs to a class -> name of the class. [km/h]"""
 UNKNOWN_GROUP: Final = "unknown"
@@ -106,6 +106,7 @@ class GroupEnergy(Record, frozen=True, kw_only=True):
     """Hold where the energy of a group of rides went."""
 
     name: Annotated[str, declare("Name of the group.", "group")]
+    of: Annotated[dict[str, str], declare("What its rides share, by way to group.")] = field(default_factory=dict)
     rides: Annotated[int, declare("Number of rides.", "rides", "count")]
     vehicles: Annotated[int, declare("Number of cars.", "cars", "count")]
     distance_km: Annotated[float, declare("Distance. [km]", "km", "count")]
@@ -228,15 +229,15 @@ def split_energy(
     if price is not None and not (isfinite(price) and price >= 0.0):
         raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
     chosen = select_rides(rides, {model.name: model})
-    names = _name_groups(chosen.rides, ways)
     parts, uncertainty = _split_predictions(model, chosen), _find_uncertainty(model, chosen.rides)
-    everything = np.ones(len(names), np.bool_)
-    fleet = _sum_group(FLEET, everything, chosen, parts, uncertainty, price)
+    fleet = _sum_group(FLEET, np.ones(len(chosen.rides), np.bool_), chosen, parts, uncertainty, price)
     order = [share.name for share in fleet.shares]
-    groups = [
-        _sum_group(name, names == name, chosen, parts, uncertainty, price, order)
-        for name in (sorted(set(names)) if ways else ())
-    ]
+    labels = list(zip(*(_name_by(chosen.rides, way) for way in ways), strict=True))
+    groups = []
+    for label in sorted(set(labels)):
+        rows = np.array([each == label for each in labels])
+        group = _sum_group(", ".join(label), rows, chosen, parts, uncertainty, price, order)
+        groups.append(replace(group, of=dict(zip(ways, label, strict=True))))
     scale = _Scale(fleet.measured.energy_kwh.value or 0.0, fleet.distance_km, price)
     savings, impossible = list[EnergySaving](), list[str]()
     cars = _compare_siblings(model, chosen)
@@ -269,20 +270,17 @@ def parse_ways(by: str) -> tuple[str, ...]:
     (('car', 'month'), ())
     """
     ways = tuple(dict.fromkeys(each.strip() for each in by.split(",")))
+    if ways == (FLEET,):
+        return ()
+    if FLEET in ways:
+        raise SettingsError(f"{FLEET} leaves all rides together and cannot be combined: leave it out of {by!r}")
     for way in ways:
-        if way not in GROUP_COLUMNS and ways != (FLEET,):
+        if way not in GROUP_COLUMNS:
             raise SettingsError(
-                f"rides cannot be grouped by {way!r}: give {FLEET}, or one or several of {', '.join(GROUP_COLUMNS)}, "
-                "separated by commas"
+                f"rides cannot be grouped by {way!r} (--by {by!r}): give {FLEET}, or one or several of "
+                f"{', '.join(GROUP_COLUMNS)}, separated by commas"
             )
-    return () if ways == (FLEET,) else ways
-
-
-def _name_groups(rides: pd.DataFrame, ways: Sequence[str]) -> NDArray[np.object_]:
-    """Return the group of each ride."""
-    if not ways:
-        return np.full(len(rides), FLEET, dtype=object)
-    return np.array([", ".join(each) for each in zip(*(_name_by(rides, way) for way in ways), strict=True)], object)
+    return ways
 
 
 def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
@@ -294,10 +292,8 @@ def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
     if way == "month":
         names = names.str[:7]
     elif way == "speed":
-        above = np.searchsorted(list(SPEED_CLASSES), rides[column].to_numpy(dtype=np.float64), side="right")
-        classes = np.array([*SPEED_CLASSES.values(), UNKNOWN_GROUP], dtype=object)
-        names = pd.Series(classes[above], rides.index)
-    return list(names.where(rides[column].notna(), UNKNOWN_GROUP))
+        names = pd.cut(rides[column], [0.0, *SPEED_CLASSES], right=False, labels=list(SPEED_CLASSES.values()))
+    return list(names.astype(object).where(rides[column].notna(), UNKNOWN_GROUP))
 
 
 def _split_predictions(model: LinearModel, chosen: ComparedRides) -> dict[str, Floats]:

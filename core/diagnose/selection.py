@@ -23,7 +23,10 @@ from socast.core.stats.scores import Estimate
 UNKNOWN_GAIN: Final = Estimate(0.0, float("nan"), 0.0)
 """Gain of an effect for which none was computed."""
 LARGE_SHARE: Final = 0.02
-"""Share of the energy from which an effect counts, however small its coefficient. [1]"""
+"""Share of the energy from which an effect is not negligible, however small its coefficient. [1]
+
+Ranges of coefficients are of cars in use; in mild weather, a small coefficient may still take much of the energy.
+"""
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ class Selection:
 def list_missing(inference: Inference) -> list[MissingEffect]:
     """Return the effects that are missing in all cars at all times.
 
-    An effect whose 95 % interval lies below its plausible range is negligible, unless it takes a large share of the
+    An effect whose 95 % interval lies below its plausible range is negligible, unless it takes `LARGE_SHARE` of the
     energy. One that physics expects is missing if its interval lies above the lower end of that range.
     """
     measured = float(inference.columns.measured.sum())
@@ -173,15 +176,15 @@ def list_scoped(inference: Inference, *, dated: bool = True) -> list[MissingEffe
     ]
 
 
-def _is_large(one: LikelyCause, measured: float) -> bool:
-    """Return whether a coefficient reaches its plausible range, by absolute value, or takes `LARGE_SHARE`.
+def _is_large(cause: LikelyCause, measured: float) -> bool:
+    """Return whether a cause takes `LARGE_SHARE`, or its coefficient reaches its plausible range, by absolute value.
 
     Units: measured [kWh].
     """
-    size = one.size.estimate
-    if abs(size.value) * float(np.abs(one.column).sum()) >= LARGE_SHARE * measured:
+    size = cause.size.estimate
+    if abs(size.value) * float(np.abs(cause.column).sum()) >= LARGE_SHARE * measured:
         return True
-    return max(abs(limit) for limit in size.interval) >= _find_least(one.variant)
+    return max(abs(limit) for limit in size.interval) >= _find_least(cause.variant)
 
 
 def _find_least(effect: str) -> float:

@@ -6,6 +6,7 @@ from statistics import median
 from typing import Any, Final
 
 from socast.core.errors import CatalogueError
+from socast.core.unreadable import UNREADABLE_TOML
 from socast.core.vehicles.catalogue import BOUNDS, VehicleModel, load_catalogue, read_entry
 
 REQUIRED: Final = ("mass_kg", "nominal_capacity_kwh")
@@ -33,7 +34,7 @@ def read_data_sheets(text: str, origin: str) -> Mapping[str, VehicleModel]:
     """
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+    except UNREADABLE_TOML as error:
         raise CatalogueError(f"{origin} is not TOML: {error}; write [my-car] and its figures below") from error
     if not tables:
         raise CatalogueError(f"{origin} holds no vehicle; write [my-car] and its figures below")

@@ -25,6 +25,7 @@ from xxhash import xxh64_intdigest
 
 from socast.core.batch import Lanes
 from socast.core.settings import Limits
+from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchReader, select_rows
 from socast.core.wire.decoder import Refused
 from socast.core.wire.message_block import KeyValues, MessageBlock
@@ -234,7 +235,7 @@ class DuplicateFilter:
             if not isinstance(rows := self._batches.read(payload), str):
                 return range(len(rows.is_usable)), rows.hash()
         elif payload.lstrip()[:1] == b"[" and key.endswith("/telemetry"):
-            with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            with suppress(*UNREADABLE):
                 parts = _raw_list.decode(payload)
             parts = parts if 0 < len(parts) <= self._limits.list_samples else [payload]
         return parts, self._hash_texts(key, parts)

@@ -14,6 +14,7 @@ from socast.tools.security.folder import _read_json
 from socast.tools.terminal.night_watch import read_condition, read_findings
 from socast.tools.terminal.table_files import read_source
 from tests.support.commands import refused
+from tests.support.paths import RECORDINGS
 
 DEPTH = 3000
 CONTENTS = {
@@ -36,7 +37,7 @@ COMMANDS = {
     "model.json": ("history",),
     "cars.toml": ("vehicles", "list", "--vehicles"),
     "live.toml": ("live", "--settings"),
-    "map.toml": ("import", "csv", "recordings/logger.csv", "--map"),
+    "map.toml": ("import", "csv", RECORDINGS / "logger.csv", "--map"),
     "effects.py": ("effects", "check"),
 }
 

@@ -33,7 +33,7 @@ def test_full_disk_leaves_the_recording_and_gives_one_line(place, tmp_path, caps
     [
         (OSError(errno.EMFILE, "Too many open files"), "Too many open files: the limit of open files is too low"),
         (OSError(errno.ENOSPC, "No space left on device"), "a disk is full: No space left on device; make room"),
-        (MemoryError(), "memory is used up: no more is given; give more, or less data"),
+        (MemoryError(), "memory is used up (no more is given): free some, or read fewer recordings"),
         (SettingsError("x" * 1_000_000), "xxx ... xxx"),
     ],
 )

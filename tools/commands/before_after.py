@@ -123,10 +123,10 @@ def read_campaign(
             cars or tuple(dict.fromkeys(span.vehicle_id for span in spans)), None, None, None, spans, what, sizes
         )
     refuse(
-        (not cars, "--vehicles is missing: name the cars that were repaired, such as --vehicles taxi-005"),
+        (not cars, "the cars that were repaired are not named (--vehicles): give them, such as taxi-005"),
         (
             at is None and plan is None,
-            "--at is missing: give the date of the repair, such as --at 2018-11-20, or --plan 3%",
+            "the date of the repair is missing (--at): give it, such as 2018-11-20, or a size to plan for (--plan 3%)",
         ),
     )
     first, last = (

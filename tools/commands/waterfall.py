@@ -19,9 +19,9 @@ def show_waterfall(
     by: Annotated[
         str,
         typer.Option(
-            metavar="WAY",
-            help="Also split the energy of each car, month, driver, vehicle model or class of the mean speed: "
-            f"{', '.join(GROUP_COLUMNS)}. Several, separated by commas, split that of each combination.",
+            metavar="WAY,…",
+            help="Also split the energy of each car, month, driver, vehicle model or class of the mean speed. WAY is "
+            f"{FLEET}, {', '.join(GROUP_COLUMNS)}; several split that of each combination.",
         ),
     ] = FLEET,
     price: Annotated[float | None, typer.Option(metavar="PRICE", help="Price of a kWh, in any currency.")] = None,
@@ -37,6 +37,7 @@ def show_waterfall(
     --------
     socast waterfall tables --model fitted.json --html waterfall.html
     socast waterfall recordings/shift.mcap --model extended_physical --by car --price 0.12
+    socast waterfall tables --model fitted.json --by car,speed
     socast waterfall tables --model fitted.json --by month --json - | jq .groups
     """
     parse_ways(by)

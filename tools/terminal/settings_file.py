@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 import typer
 
 from socast.core.errors import SettingsError, read_input
+from socast.core.unreadable import UNREADABLE_TOML
 
 _PLACES: Final = "socast.settings_places"
 """Key under which the context of a command keeps where each setting stands."""
@@ -65,7 +66,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
     try:
         text = content.decode()
         settings = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+    except UNREADABLE_TOML as error:
         raise SettingsError(explain_toml(file, content, error)) from error
     options = list_settings(command)
     annotations = inspect.signature(command.callback).parameters

@@ -152,7 +152,9 @@ def test_groups_are_named_by_car_month_driver_vehicle_model_and_speed():
     ways = (FLEET, *GROUP_COLUMNS, "speed, car")
     names = {by: [group.name for group in split_energy(table, EXTENDED_PHYSICAL, by=by).groups] for by in ways}
     assert names[FLEET] == []
-    assert names["speed"] == ["0 to 20 km/h", "20 to 40 km/h", "60 km/h and more", "unknown"]
+    assert names["speed"] == ["0–20 km/h", "20–40 km/h", "60 km/h or more", "unknown"]
+    both = split_energy(table, EXTENDED_PHYSICAL, by="speed, car").groups
+    assert all(group.name == f"{group.of['speed']}, {group.of['car']}" for group in both)
     assert set(names["speed, car"]) <= {f"{speed}, {car}" for speed in names["speed"] for car in names["car"]}
     assert names["car"] == sorted(set(table["vehicle_id"]))
     assert names["month"] == sorted(set(table["date"].str[:7]))
@@ -246,10 +248,10 @@ def test_record_survives_json():
         (
             {"by": "colour"},
             SettingsError,
-            "'colour': give fleet, or one or several of car, month, driver, model, speed",
+            "'colour'.*: give fleet, or one or several of car, month, driver, model, speed",
         ),
-        ({"by": "fleet,car"}, SettingsError, "'fleet': give fleet, or one"),
-        ({"by": "car,"}, SettingsError, "'': give fleet, or one"),
+        ({"by": "fleet,car"}, SettingsError, "fleet leaves all rides together and cannot be combined"),
+        ({"by": "car,"}, SettingsError, "'' .*: give fleet, or one"),
         ({"price": -0.1}, SettingsError, "is -0.1, and must be 0 or above"),
         ({"price": float("nan")}, SettingsError, "is nan"),
         ({"by": "driver"}, ModelError, "'driver_id' is unknown in all of them; group by car"),

@@ -99,9 +99,7 @@ def test_each_step_begins_where_the_one_before_it_ends(shift_tables):
 def test_wrong_calls_are_refused_in_one_line(shift_tables, tmp_path, capsys):
     call = ("waterfall", shift_tables, "--model")
     assert "price of a kWh is -1, and must be 0 or above" in refused(capsys, *call, FITTED, "--price", "-1")
-    assert "grouped by 'colour': give fleet, or one or several of car" in refused(
-        capsys, *call, FITTED, "--by", "colour"
-    )
+    assert "grouped by 'colour' (--by 'colour'): give fleet, or one" in refused(capsys, *call, FITTED, "--by", "colour")
     assert "no.json: cannot read a model" in refused(capsys, *call, tmp_path / "no.json")
     assert "is read and would be overwritten" in refused(capsys, *call, FITTED, "--json", FITTED)
     empty = tmp_path / "rides.parquet"

@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
+from socast.core.unreadable import UNREADABLE_TOML
 from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
@@ -199,7 +200,7 @@ def parse_map(content: bytes, path: Path) -> ColumnMap:
     try:
         text = content.decode("utf-8-sig")
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+    except UNREADABLE_TOML as error:
         raise ImportFileError(explain_toml(path, content, error)) from error
     return _MapReader(path, text, tables).read()
 

@@ -51,7 +51,6 @@ def _describe_car(car: CarCondition, of_all: Sequence[CarEvent]) -> dict[str, An
     marked += [(each, f"{describe_event(each)} (all cars)", True) for each in of_all]
     marked.sort(key=lambda one: one[0].date)
     events = [
-        {"date": each.date, "what": each.what or "event", "words": words, "of_all": is_of_all}
-        for each, words, is_of_all in marked
+        {"date": each.date, "what": each.what, "words": words, "of_all": is_of_all} for each, words, is_of_all in marked
     ]
     return {**car.to_json(), "usable_kwh": car.usable_kwh, "words": describe_car(car), "events": events}

@@ -2,10 +2,9 @@
 
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
-import { count, number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed, signedShare } from "./format.js";
 import { command, field, progress, put } from "./loop.js";
 
-const SIZE = 0.03; // change of which the answer says how long it takes to be seen
 let made = 0;
 
 // Return {node, fill(given), destroy()} of a car; `fill` opens the form and takes {vehicles, at, what}.
@@ -51,12 +50,10 @@ export function makeBeforeAfter(car, model, context) {
 
   function drawAnswer({ report, words, placebos, commands }) {
     const { change } = report;
-    const { days } = report.detection.find(({ size }) => size === SIZE);
-    const facts = [
-      change && ["change of consumption", quantitySigned(change.change)],
-      change && ["90 % interval", `${signed(100 * change.ci90[0], 1)} to ${quantitySigned(change.ci90[1])}`],
-      [`to see ${quantity(100 * SIZE, "%")}`, days === null ? "more than a year" : count(days, "day")],
-    ].filter(Boolean);
+    const facts = !change ? [] : [
+      ["change of consumption", signedShare(change.change)],
+      ["90 % interval", `${signed(100 * change.ci90[0], 1)} to ${signedShare(change.ci90[1])}`],
+    ];
     const place = el("div", {});
     put(answer,
       el("dl", { class: "figures small-figures" }, facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)))),
@@ -79,7 +76,6 @@ export function makeBeforeAfter(car, model, context) {
   };
 }
 
-const quantitySigned = (share) => `${signed(100 * share, 1)}\u202f%`;
 
 function describePlacebos({ counts, edges_pct: edges }, change) {
   const ends = counts.flatMap((_, i) => [edges[i], edges[i + 1]]);
@@ -90,7 +86,7 @@ function describePlacebos({ counts, edges_pct: edges }, change) {
   };
   return {
     title: "What chance does: placebo campaigns by their estimate",
-    summary: `The estimate is ${quantitySigned(change.change)}.`,
+    summary: `The estimate is ${signedShare(change.change)}.`,
     heading: "What chance does",
     height: 200,
     x: { label: "Estimated change", unit: "%", domain: [edges[0], edges.at(-1)] },

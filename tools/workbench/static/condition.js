@@ -79,7 +79,7 @@ function about({ rides, car_days: days, first_date: first, last_date: last, day_
 
 function describeTrend(car) {
   const parts = [[car.consumption, "--blue", "consumption"], [car.capacity, "--vermilion", "usable capacity"]].filter(([trend]) => trend);
-  const events = car.events.map(({ date, what }) => ({ type: "rule", x: toDay(date), text: what, colour: "--ink-soft", dash: "2 3" }));
+  const events = car.events.map(({ date, what }) => ({ type: "rule", x: toDay(date), text: what || "event", colour: "--ink-soft", dash: "2 3" }));
   const dates = [...parts.flatMap(([trend]) => trend.dates), ...car.events.map(({ date }) => date)];
   const layers = [{ type: "rule", y: 0 }, ...events];
   for (const [trend, colour, name] of parts) {

@@ -2,7 +2,7 @@
 
 import { chart, legendOf, scaleLegend } from "./chart.js";
 import { el, svg } from "./dom.js";
-import { count, number, quantity, signed } from "./format.js";
+import { count, number, quantity, signed, signedShare } from "./format.js";
 import { changeFilter, choice, command, field, fill, filterBar, getReady, heading, modelChoice, nextStep, openWorkspace, put, query } from "./loop.js";
 import { categoryToken, extent, plain, sequential, token, withUnit } from "./scales.js";
 import { heldOut, outcomeChip } from "./step.js";
@@ -60,7 +60,7 @@ function makeView(root, { state: first, model, workspace, rides, step, context }
   put(root, 
     heading("Where it fails", "The residual is predicted less measured. Where its mean leaves zero, the model misses something.", modelChoice(workspace, state, context)),
     el("div", { class: "stack" },
-      step && el("p", { class: "step-line" }, "Adding ", el("strong", {}, step.effect.replaceAll("_", " ")), ` to ${step.parent}: error of a ride on held-out days `, el("strong", {}, heldOut(step)), `, ${signed(100 * (step.mae_after_kwh / step.mae_before_kwh - 1), 1)}\u202f%. `, outcomeChip(step)),
+      step && el("p", { class: "step-line" }, "Adding ", el("strong", {}, step.effect.replaceAll("_", " ")), ` to ${step.parent}: error of a ride on held-out days `, el("strong", {}, heldOut(step)), `, ${signedShare(step.mae_after_kwh / step.mae_before_kwh - 1)}. `, outcomeChip(step)),
       step && !workspace.seen.includes(parent) && el("p", { class: "note small" }, `${parent} was not fitted to these rides, and the step refitted all its terms: part of what lies between the two residuals is due to that. The errors above leave it out.`),
       nextStep("pick a chart to see the residual along that column, then ask", context.link({ page: "causes", model: state.model }), "what is missing"),
       el("section", { class: "card", "aria-label": "Survey" },

@@ -81,6 +81,9 @@ export function duration(seconds) {
 export const LOW_RISK = 0.05;
 export const HIGH_RISK = 0.5;
 
+// A change in percent with its sign.
+export const signedShare = (share) => `${signed(100 * share, 1)}${NARROW}%`;
+
 // A probability in percent, never as certainty.
 export function risk(share) {
   if (share === null || share === undefined || !Number.isFinite(share)) return "–";

@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { el, picture } from "./dom.js";
-import { number, quantity, signed } from "./format.js";
+import { number, quantity, signed, signedShare } from "./format.js";
 import { put } from "./loop.js";
 import { bare, estimate, plain } from "./scales.js";
 
@@ -111,7 +111,7 @@ export function drawStep(host, record, { actions, live }) {
       record.added && el("p", {}, `${trial.words.charAt(0).toUpperCase()}${trial.words.slice(1)}.`)),
     el("p", { class: "big-step" },
       heldOut(trial),
-      el("span", { class: "soft small" }, `mean absolute error of a ride on held-out days, ${signed(fall, 1)}\u202f%; measurement noise alone ${quantity(trial.noise_floor_kwh, "kWh", 4)}`)),
+      el("span", { class: "soft small" }, `mean absolute error of a ride on held-out days, ${signedShare(fall / 100)}; measurement noise alone ${quantity(trial.noise_floor_kwh, "kWh", 4)}`)),
     el("div", { class: "row" }, actions),
     (trial.warnings ?? []).map((line) => el("p", { class: "warn" }, line.replace(/^\*: /, ""))),
     el("div", {}, el("h3", {}, helps ? "The error falls towards the noise" : "Error before and after each step"), record.after.picture && picture(record.after.picture)),

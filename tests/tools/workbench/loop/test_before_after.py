@@ -84,8 +84,8 @@ def test_date_to_come_has_no_change_and_no_placebo_distribution(client):
     ("changes", "words"),
     [
         ({"at": "10.11."}, "--at is '10.11.'; give a date such as"),
-        ({"at": ""}, "--at is missing"),
-        ({"vehicles": " , "}, "--vehicles is missing"),
+        ({"at": ""}, "is missing (--at)"),
+        ({"vehicles": " , "}, "not named (--vehicles)"),
         ({"until": "2018-11-01"}, "--until is 2018-11-01, and must be after --at, 2018-11-10"),
         ({"model": "none"}, "none"),
     ],
