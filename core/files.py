@@ -1,4 +1,7 @@
-"""Write files whole: a file has its old content or its new content, however the process or the disk fails."""
+"""Write files whole, and name what reading damaged content raises.
+
+A file has its old content or its new content, however the process or the disk fails.
+"""
 
 import errno
 import os
@@ -8,6 +11,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+import msgspec
+
+UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+"""What `msgspec` raises for content that is damaged, of another form or nested too deeply."""
+UNREADABLE_TOML: Final = (ValueError, RecursionError)
+"""What `tomllib` raises: `TOMLDecodeError`, and another `ValueError` where a number has thousands of digits."""
 _LONGEST: Final = 50  # characters of a name, so that the name of the new file is no longer than a folder allows
 
 

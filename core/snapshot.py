@@ -19,6 +19,7 @@ from socast.core.cleaning.kernel import STATE
 from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
 from socast.core.errors import SocastError
+from socast.core.files import UNREADABLE
 from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
@@ -31,7 +32,6 @@ from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
 from socast.core.totals.display_yield import LANE_YIELD, LARGEST_CURVE
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.sample_losses import SAMPLE_LOSS
 from socast.core.wire.state_schema import (
     Anything,

@@ -41,8 +41,7 @@ from mcap.records import (
 )
 
 from socast.core.errors import RecordingError
-from socast.core.files import replacing
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE, replacing
 from socast.core.wire.messages import BATCH, KINDS, Message, address
 from socast.core.wire.schema import make_schema
 from socast.stream.closeable import Closeable

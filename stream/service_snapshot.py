@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from socast.core.files import UNREADABLE
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.pipeline import Pipeline
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints

@@ -25,8 +25,8 @@ import msgspec
 import zenoh
 from zenoh import handlers
 
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_times
 from socast.stream.zenoh_session import Node, format_zenoh_error
 

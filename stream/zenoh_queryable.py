@@ -27,7 +27,7 @@ import zenoh
 from zenoh import handlers
 
 from socast.core.errors import AskError, SettingsError
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 from socast.stream.closeable import Closeable
 from socast.stream.zenoh_session import Node, format_zenoh_error
 

@@ -26,7 +26,7 @@ import msgspec
 import zenoh
 
 from socast.core.errors import SettingsError, read_input
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 from socast.core.wire.shard import Shard
 from socast.stream.closeable import Closeable
 from socast.stream.link_check import explain_failure

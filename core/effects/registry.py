@@ -24,7 +24,7 @@ from socast.core.effects import air, battery, cabin, electrics, powertrain, road
 from socast.core.effects.declaration import VARIANT, Effect
 from socast.core.effects.verification import check_effect
 from socast.core.errors import EffectError, read_input
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 
 TIME_LIMIT: Final = 60.0
 """Longest time for importing and checking a user's file, which takes about 1 s of processor time. [s]"""

@@ -15,11 +15,10 @@ from typing import Final
 import msgspec
 
 from socast.core.errors import EffectError, ModelError, read_input
-from socast.core.files import write_whole
+from socast.core.files import UNREADABLE, write_whole
 from socast.core.models.features import ACCESSORIES_COLUMN, get_unit
 from socast.core.models.interval import ANY
 from socast.core.models.linear import FORMAT, Fit, LinearModel, Term
-from socast.core.unreadable import UNREADABLE
 from socast.core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")

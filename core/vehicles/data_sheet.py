@@ -6,7 +6,7 @@ from statistics import median
 from typing import Any, Final
 
 from socast.core.errors import CatalogueError
-from socast.core.unreadable import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML
 from socast.core.vehicles.catalogue import BOUNDS, VehicleModel, load_catalogue, read_entry
 
 REQUIRED: Final = ("mass_kg", "nominal_capacity_kwh")

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats, Ints, Lanes
 from socast.core.columns import KMH, ZERO_CELSIUS
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from socast.core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
 from socast.core.wire.keys import identity

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from xxhash import xxh64_intdigest
 
 from socast.core.batch import Lanes
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchReader, select_rows
 from socast.core.wire.decoder import Refused
 from socast.core.wire.message_block import KeyValues, MessageBlock

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from socast.core.errors import AskError
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 from socast.core.wire.messages import IDENTITY, Leg, Plan, Wire
 
 MOST_LEGS: Final = 500

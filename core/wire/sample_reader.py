@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows
 from socast.core.wire.json_scanner import POSITION
 from socast.core.wire.messages import BATCH, IDENTITY, Message, address

@@ -11,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.vehicles import load_catalogue
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows, write_rows
 from socast.core.wire.json_scanner import POSITION

@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from socast.core.errors import SettingsError
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 from socast.core.wire.messages import IDENTITY
 from socast.stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
 from socast.tools.bridge.row_assembler import RowAssembler, Signal, Value, make_signal, parse_number, read_signals

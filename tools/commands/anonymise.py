@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import typer
 
+from socast.core.files import UNREADABLE
 from socast.core.formatting import format_count
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import Message, Weather, address
 from socast.core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.formatting import format_count
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.core.wire.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
 from socast.stream.zenoh_queryable import query_outlook

@@ -11,8 +11,7 @@ import msgspec
 import numpy as np
 
 from socast.core.errors import RecordingError
-from socast.core.files import write_whole
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE, write_whole
 from socast.core.wire.messages import Finding, Forecast, Message, address
 from socast.core.wire.sample_reader import holds_samples, read_samples
 from socast.stream.closeable import Closeable

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from socast.core.batch import Floats, Ints
+from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows
 from socast.core.wire.json_scanner import POSITION
 from socast.core.wire.messages import BATCH, Message, Telemetry, Vehicle, Weather, address

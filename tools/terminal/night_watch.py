@@ -19,10 +19,10 @@ from socast.core.diagnose.findings import list_changes
 from socast.core.diagnose.inference.events import read_events
 from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import SettingsError, read_input
+from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.messages import Finding
 from socast.stream.nightly_diagnosis import CarLevel, NightlyCondition, NightlyDiagnosis
 from socast.stream.source import Sink

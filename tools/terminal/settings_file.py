@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 import typer
 
 from socast.core.errors import SettingsError, read_input
-from socast.core.unreadable import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML
 
 _PLACES: Final = "socast.settings_places"
 """Key under which the context of a command keeps where each setting stands."""

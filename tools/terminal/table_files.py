@@ -13,11 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from socast.core.errors import ModelError, SettingsError, SocastError
-from socast.core.files import replacing
+from socast.core.files import UNREADABLE, replacing
 from socast.core.fit.ride_blocks import list_parts
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
-from socast.core.unreadable import UNREADABLE
 from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recording_metadata import INVENTED

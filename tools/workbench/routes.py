@@ -14,7 +14,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from socast.core.errors import SocastError
-from socast.core.unreadable import UNREADABLE
+from socast.core.files import UNREADABLE
 from socast.tools.workbench.access import READY, refuse
 from socast.tools.workbench.connections import REQUEST_S
 from socast.tools.workbench.fleet.feed import FleetFeed

@@ -26,9 +26,9 @@ import pandas as pd
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.errors import AskError
 from socast.core.evaluate.soc.cases import normalise_keys
+from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.forecast.plan_tracker import SHORTEST_RIDE
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import BATCH, Leg, Message, Outlook, address
 from socast.core.wire.sample_reader import read_samples

@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
-from socast.core.unreadable import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML
 from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,

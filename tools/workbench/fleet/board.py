@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from socast.core.files import UNREADABLE
 from socast.core.forecast.status import find_ended_shifts
-from socast.core.unreadable import UNREADABLE
 from socast.core.wire.live_fields import list_live_fields
 from socast.core.wire.messages import Address, Finding, Forecast, Interval, Message, address
 from socast.core.wire.sample_reader import Samples, holds_samples, read_samples
