@@ -29,21 +29,29 @@ def find_chromium() -> str:
 @contextmanager
 def open_browser() -> Iterator[Any]:
     """Start Chromium, and stop it at the end."""
-    executable = find_chromium()
+    find_chromium()
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only tests of pages need it
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
+        browser = _launch(playwright.chromium)
         yield browser
         browser.close()
+
+
+def _launch(chromium: Any) -> Any:
+    """Return a process of the installed Chromium, by a `BrowserType` of Playwright."""
+    return chromium.launch(executable_path=find_chromium(), args=list(ARGUMENTS))
 
 
 class Visit:
     """A browser that has entered a workbench, with what it requested and what went wrong in its pages.
 
+    Its window is alone in its process: of several, one that is behind gets no keys and draws nothing.
+
     Parameters
     ----------
     browser : playwright.sync_api.Browser
+        Browser like which it is started.
     server : socast.tools.workbench.server.WorkbenchServer
     size : dict
         Width and height of the window.
@@ -61,7 +69,8 @@ class Visit:
 
     def __init__(self, browser: Any, server: Any, size: dict[str, int] | None = None, scheme: str = "light") -> None:
         self._server = server
-        self._context = browser.new_context(viewport=size or WIDE, color_scheme=scheme, reduced_motion="reduce")
+        self._browser = _launch(browser.browser_type)
+        self._context = self._browser.new_context(viewport=size or WIDE, color_scheme=scheme, reduced_motion="reduce")
         self.strangers: list[str] = []
         self.errors: list[str] = []
         self._context.route(lambda address: not address.startswith(server.origin), self._block)
@@ -73,7 +82,6 @@ class Visit:
 
     def go(self, address: str) -> None:
         """Open a page of the workbench, such as `#/fleet`."""
-        self.page.bring_to_front()  # keys go to the window that was opened last, and not always back once it has closed
         self.page.goto(f"{self._server.origin}/{address}")
 
     def wait(self, script: str, argument: Any = None) -> None:
@@ -83,8 +91,8 @@ class Visit:
         assert eventually(lambda: self.page.evaluate(script, argument)), script
 
     def close(self) -> None:
-        """Close the window."""
-        self._context.close()
+        """Close the browser."""
+        self._browser.close()
 
     def _keep_error(self, message: Any) -> None:
         """Keep an error of the console, but not the note of the browser on a refusal, which the page itself shows."""
