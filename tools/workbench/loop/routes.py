@@ -10,9 +10,6 @@ from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
 from socast.tools.workbench.loop import causes, condition, models, residuals, rides
 from socast.tools.workbench.loop.model_tree import ModelNode
 
-_REPAIR: Final = ("vehicles", "at", "until", "what")
-"""What the form about a repair sends: options of `socast before-after`."""
-
 
 def _get_workspace(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:
     """Return what was read, and the job that reads it while it runs."""
@@ -145,9 +142,12 @@ def _get_condition(workbench: Workbench, request: JsonRequest) -> dict[str, Any]
 
 
 def _compare_repair(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
+    """Return the record of the job that compares cars before and after a repair, as the form describes it."""
     body, workspace = request.body, workbench.workspace
     model = workspace.get_node(_require(body, "model"))
-    vehicles, at, until, what = (" ".join(str(body.get(name) or "").split()) for name in _REPAIR)
+    vehicles, at, until, what = (
+        " ".join(str(body.get(name) or "").split()) for name in ("vehicles", "at", "until", "what")
+    )
     campaign = read_campaign(vehicles, at or None, until or None, what=what)
 
     def compare(report: Report) -> dict[str, Any]:

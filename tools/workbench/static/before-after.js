@@ -76,7 +76,6 @@ export function makeBeforeAfter(car, model, context) {
   };
 }
 
-
 function describePlacebos({ counts, edges_pct: edges }, change) {
   const ends = counts.flatMap((_, i) => [edges[i], edges[i + 1]]);
   const high = counts.flatMap((each) => [each, each]);

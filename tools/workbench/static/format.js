@@ -77,12 +77,12 @@ export function duration(seconds) {
   return `${Math.floor(minutes / 60)}${NARROW}h ${String(minutes % 60).padStart(2, "0")}${NARROW}min`;
 }
 
+// A change in percent with its sign.
+export const signedShare = (share) => `${signed(100 * share, 1)}${NARROW}%`;
+
 // Probabilities of falling below the reserve from which a car is at risk, and at high risk.
 export const LOW_RISK = 0.05;
 export const HIGH_RISK = 0.5;
-
-// A change in percent with its sign.
-export const signedShare = (share) => `${signed(100 * share, 1)}${NARROW}%`;
 
 // A probability in percent, never as certainty.
 export function risk(share) {
