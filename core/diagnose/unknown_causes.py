@@ -12,6 +12,7 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.suggestion import derive_unit, format_source_file, list_symbols
 from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.diagnose.gains import compute_correlation
+from socast.core.diagnose.inference.loads import LOADS, find_load
 from socast.core.diagnose.inference.posterior import ExpectedCause, Inference, LikelyCause
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.diagnose.records import EstimatedCoefficient, UnknownCause
@@ -22,18 +23,6 @@ REMAINING: Final = 0.02
 """Probability from which a cause of what remains is listed."""
 LIKE: Final = 0.5
 """Correlation from which a form resembles an effect of the library on the same load. [1]"""
-LOADS: Final = MappingProxyType(
-    {
-        "braking_force": "braking",
-        "traction": "traction",
-        "wheel_power": "traction",
-        "tyre_load": "rolling",
-        "stop_rate": "stopping",
-        "grade": "climbing",
-        "speed": "drag",
-    }
-)
-"""Signals that effects read -> load on which the effect acts, the most specific first; without one, a power."""
 CONDITIONS: Final = MappingProxyType(
     {
         "pack_temperature": "ambient",
@@ -109,9 +98,8 @@ def find_resembling(form: FormTerm, energy: Floats, columns: WindowColumns) -> s
     found: dict[str, float] = {}
     for at, name in enumerate(columns.names):
         arguments = effects.get(name).arguments
-        load = next((load for signal, load in LOADS.items() if signal in arguments), "auxiliary")
         read = {CONDITIONS.get(each, each) for each in arguments if each not in MOTION}
-        if load == form.carrier.name and read and read <= conditions:
+        if find_load(name) == form.carrier.name and read and read <= conditions:
             effect = name.partition(VARIANT)[0]
             found[effect] = max(found.get(effect, 0.0), compute_correlation(columns.effects[:, at], energy))
     best = max(found, key=lambda name: found[name], default=None)

@@ -23,7 +23,7 @@ from socast.core.models import ANY, LinearModel
 from socast.core.stats.splits import deal_folds
 from socast.tools.bench.figures.evaluation import run_once
 from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
-from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST
+from socast.tools.bench.hidden.baselines import BASELINES, DESCRIPTIONS, LONGEST, RANKED
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.spikein.choice import ScoreChoice
@@ -86,8 +86,15 @@ def rank_by(method: str, study: Study) -> list[str]:
     return BASELINES[method](study.selection.base, build_candidates(study.seen, study.model))[:LONGEST]
 
 
-METHODS: Final = {name: partial(rank_by, name) for name in BASELINES}
-"""Methods that are judged on the same effects."""
+def rank_by_probability(study: Study) -> list[str]:
+    """Return the names of a diagnosis, then the other effects by their probability."""
+    chances = study.inference.chances | {each.effect: each.probability for each in study.inference.expected}
+    others = sorted(chances, key=lambda name: -chances[name])
+    return list(dict.fromkeys([*(each.effect for each in study.selection.effects), *others]))[:LONGEST]
+
+
+METHODS: Final = {RANKED: rank_by_probability} | {name: partial(rank_by, name) for name in BASELINES}
+"""Rankings that are judged on the same effects."""
 
 
 class Car(NamedTuple):
@@ -293,9 +300,10 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
     ]
     note = (
         f"Known effects of {sizes} of the energy, put into the recordings by `socast spikein --score`, in all forms of "
-        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20; by a formula of the library: "
-        "that of the formula that resembles the effect most, which is not the one put in. Other methods receive "
-        f"the same windows, without the terms of the model, and name at most {LONGEST} effects. "
+        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20. Visible by a formula of the "
+        "library: so does that of the formula that resembles the true energies most; it may not be the formula that "
+        f"was put in. Rankings have at most {LONGEST} effects. Other methods receive the same windows, without the "
+        "terms of the model. "
         f"{'. '.join(f'{name[0].upper()}{name[1:]}' for name in DESCRIPTIONS.values())}."
     )
     values = {

@@ -1,12 +1,14 @@
 """Choose forms outside the library that may explain windows: a carrier of energy times functions of variables.
 
 Each form is weighed alone beside what a model knows, as an effect of the library is. The best forms are tried with a
-second and a third variable. All forms share the prior probability that something outside the library is missing: half
-of it belongs to those of at most one variable, a quarter to those of two, an eighth to those of three.
+second and a third variable. A form that is a missing effect of the library in other words is left out.
+
+All forms share the prior probability that something outside the library is missing: half of it belongs to those of at
+most one variable, a quarter to those of two, an eighth to those of three.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import inf, log, prod
@@ -21,8 +23,10 @@ from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm, Modulator, list_modulators
 from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
+from socast.core.diagnose.inference.loads import find_load
 from socast.core.diagnose.inference.window_columns import UnknownForm
 from socast.core.diagnose.inference.window_model import WindowModel
+from socast.core.effects.declaration import VARIANT
 
 SHARE: Final = 0.05
 """Standard deviation beforehand of the energy of a form, as a share of all energy. [1]"""
@@ -32,6 +36,8 @@ LEAST_DATES: Final = 6.0
 """Effective number of dates on which a form must act. What acts on fewer is an episode. [1]"""
 ALIKE: Final = 2
 """Largest number of kept forms with the same carrier and variables."""
+SAME: Final = 0.9
+"""Correlation off the base from which a form is an effect of the library on the same load, in other words. [1]"""
 EXTENDED: Final = (6, 3)
 """Numbers of forms that are tried with a second and with a third variable."""
 
@@ -41,6 +47,31 @@ class _Scores(NamedTuple):
 
     forms: list[UnknownForm]
     odds: Floats
+
+
+class _Library:
+    """Tell which forms are effects of the library in other words: on one load, and nearly equal off the base."""
+
+    def __init__(self, model: WindowModel, inside: Collection[str]) -> None:
+        columns = model.columns
+        at = [place for place, name in enumerate(columns.names) if name.partition(VARIANT)[0] not in inside]
+        self._root = np.sqrt(model.weight / model.variance)[:, np.newaxis]
+        self._basis, _ = np.linalg.qr(self._root * np.column_stack([columns.base, columns.common]))
+        self._loads = [find_load(columns.names[place]) for place in at]
+        self._left = self._project(columns.effects[:, at])
+
+    def _project(self, energy: Floats) -> Floats:
+        """Return the directions of energies off the base, of length one."""
+        scaled = self._root * energy
+        left = scaled - self._basis @ (self._basis.T @ scaled)
+        length = np.sqrt((left**2).sum(axis=0))
+        return np.asarray(left / np.maximum(length, 1e-6 * np.sqrt((scaled**2).sum(axis=0)) + 1e-300))
+
+    def has(self, load: str, energy: Floats) -> bool:
+        """Return whether a form on a load is an effect of the library."""
+        at = [place for place, other in enumerate(self._loads) if other == load]
+        own = self._project(energy[:, np.newaxis])[:, 0]
+        return bool(np.abs(self._left[:, at].T @ own).max(initial=0.0) >= SAME)
 
 
 class FormSearch:
@@ -74,8 +105,14 @@ class FormSearch:
         shares = [log(0.5 ** (at + 1) / (len(CARRIERS) * max(number, 1))) for at, number in enumerate(numbers)]
         self._log_share = [shares[0], *shares]  # by the number of variables, from none on
 
-    def extend(self, model: WindowModel) -> WindowModel:
-        """Return the model with the best forms beside what it knows among the columns that may be missing."""
+    def extend(self, model: WindowModel, inside: Collection[str] = ()) -> WindowModel:
+        """Return the model with the best forms beside what it knows among the columns that may be missing.
+
+        Parameters
+        ----------
+        inside : collection of str
+            Effects that the model has in all cars, so that they are not missing; other forms of them may be.
+        """
         columns = model.columns
         found = [self._score_longer(model, FormTerm(carrier)) for carrier in CARRIERS]
         for variables, extended in enumerate(EXTENDED, 1):
@@ -87,12 +124,15 @@ class FormSearch:
         known = {format_formula(form.term) for form in columns.unknown}
         alike: Counter[tuple[str, frozenset[str]]] = Counter()
         chosen = []
+        library = _Library(model, inside)
         for form in _rank(found):
             key = form.term.carrier.name, form.term.variables
-            if alike[key] < ALIKE and alike.total() < KEPT:
-                alike[key] += 1
-                if format_formula(form.term) not in known:
-                    chosen.append(form)
+            is_full = alike[key] >= ALIKE or alike.total() >= KEPT
+            if is_full or library.has(form.term.carrier.name, self._build_energy(form.term)):
+                continue
+            alike[key] += 1
+            if format_formula(form.term) not in known:
+                chosen.append(form)
         energies = [self._build_energy(form.term) for form in chosen]
         return model.replace_columns(
             replace(

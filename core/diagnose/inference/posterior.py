@@ -271,7 +271,7 @@ def infer_missing(
     first: Alternatives | None = None
     for step, least in enumerate((*BESIDE, None)):
         if forms is not None:
-            model = forms.extend(model)
+            model = forms.extend(model, inside)
         columns, families = model.columns, [*library, *list_unknown(model.columns)]
         given = select_alternatives(model, families, given)
         first = first or given

@@ -118,8 +118,11 @@ BASELINES: Final[Mapping[str, Callable[[BaseProjection, Candidates], list[str]]]
     {"stlsq": rank_by_stlsq, "pysindy": rank_by_pysindy, "boosted trees": rank_by_trees}
 )
 """Function that ranks the effects by each method."""
+RANKED: Final = "diagnose, ranked"
+"""Name of the ranking by diagnosis itself, which goes on below the probability from which it names effects."""
 DESCRIPTIONS: Final = MappingProxyType(
     {
+        RANKED: "diagnosis, ranked: its names, then all other effects by their probability, also below one half",
         "stlsq": "STLSQ: sequentially thresholded least squares, effects by the size of their normalised coefficient",
         "pysindy": "PySINDy: ensemble of 20 STLSQ on resampled windows, effects by how often they are included",
         "boosted trees": "gradient-boosted trees of the residual, effects by permutation importance on other days",

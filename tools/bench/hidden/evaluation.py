@@ -26,7 +26,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, Columns
 from socast.core.stats.splits import deal_folds
-from socast.tools.bench.hidden.baselines import build_columns, fit_stlsq, rank_by_baselines
+from socast.tools.bench.hidden.baselines import LONGEST, RANKED, build_columns, fit_stlsq, rank_by_baselines
 from socast.tools.bench.hidden.cases import Case
 from socast.tools.bench.hidden.recording import Tables
 from socast.tools.simulator.hidden_shapes import get_right_names
@@ -206,7 +206,9 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
         "missing": [_short(name) for name in result["missing"]],
         **visibility,
         "intervals": compare_intervals(case, result["missing"], base, hidden) if case.hidden else [],
-        "baselines": rank_by_baselines(base, candidates) if is_for_baselines(case, visibility) else {},
+        "baselines": {RANKED: rank_tested(result)} | rank_by_baselines(base, candidates)
+        if is_for_baselines(case, visibility)
+        else {},
         "errors": compute_errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
         "noise_floor_kwh": result["error"]["noise_floor_kwh"],
         "seconds": seconds,
@@ -217,6 +219,12 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
         fit_stlsq(columns, windows.measured)
         record["stlsq_seconds"] = time.perf_counter() - began
     return record
+
+
+def rank_tested(result: Mapping[str, Any]) -> list[str]:
+    """Return the names of a diagnosis, then the other effects by their probability, the first `LONGEST`."""
+    names = [each["effect"] for each in (*result["missing"], *result["tested"])]
+    return list(dict.fromkeys(names))[:LONGEST]
 
 
 def is_for_baselines(case: Case, visibility: Record) -> bool:
