@@ -43,6 +43,8 @@ class MissingEffect:
         Probability that something is missing that it explains. [1]
     causes : dict of str to float
         Effects that could explain the same, with their shares of that probability, the largest first. [1]
+    evidence : float
+        Logarithm of the Bayes factor against none. [1]
     gain : Estimate
         Share of the squared error of rides that it explains on held-out days beside the effects before it. [1]
     expected : bool
@@ -54,6 +56,7 @@ class MissingEffect:
     size: Estimate
     probability: float
     causes: dict[str, float]
+    evidence: float = 0.0
     gain: Estimate = UNKNOWN_GAIN
     expected: bool = False
 
@@ -147,7 +150,9 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
     """
     measured = float(inference.columns.measured.sum())
     found = [
-        MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
+        MissingEffect(
+            one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes, one.evidence
+        )
         for one in inference.findings
         if one.is_likely and one.form is None and not one.family.is_scoped and _is_large(one, measured)
     ]
@@ -161,6 +166,7 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
                     one.size.estimate,
                     one.probability,
                     {one.effect: 1.0},
+                    one.evidence,
                     expected=True,
                 )
             )
@@ -199,8 +205,8 @@ def select_missing(
 ) -> Selection:
     """Return the missing effects in the order in which to add them.
 
-    Those whose gain is certain come first. In each of both groups those that physics expects in every car come last,
-    and the effect with the largest gain beside those before it comes next.
+    Those whose gain beside the others is certain come first. In each of both groups those that physics expects in every
+    car come last, and the effect with the most evidence comes next.
 
     Parameters
     ----------
@@ -230,4 +236,4 @@ def select_missing(
 
 def _order(each: MissingEffect) -> tuple[bool, bool, float]:
     """Return a key that sorts effects into the order of `select_missing`."""
-    return each.gain.interval[0] <= 0.0, each.expected, -each.gain.value
+    return each.gain.interval[0] <= 0.0, each.expected, -each.evidence

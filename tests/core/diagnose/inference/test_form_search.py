@@ -82,6 +82,18 @@ def test_search_keeps_few_forms_of_the_same_kind_that_act_on_many_dates():
         assert len(set(formulas)) == len(formulas)  # nothing is kept twice, whatever order its variables were tried in
 
 
+def test_form_that_is_a_missing_effect_in_other_words_is_left_out():
+    windows, model = gather_with_model(make_tables(make_windows(), {"wet_road": 0.06}))
+    inner = WindowModel(gather_window_columns(windows, model))
+
+    def is_kept(inside):
+        found = FormSearch(windows).extend(inner, inside).columns.unknown
+        return ("rolling", {"precipitation"}) in [(each.term.carrier.name, each.term.variables) for each in found]
+
+    assert not is_kept(())
+    assert is_kept(["wet_road"])  # a model that has it may have it in a wrong form
+
+
 def test_no_form_reads_a_signal_for_which_another_stands():
     """Without the temperature of the battery, that of the outside stands for it."""
     table = make_windows()
