@@ -319,9 +319,9 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
         "of the way to the error with the true energies, median",
     ]
     size_note = (
-        "Sizes of the visible effects that are named. Size: what the named effects find with the true energies less what "
-        "they find without, over what they can find of them. Of the way: the fall of the error on held-out days by the "
-        "named effect, over that by the true energies."
+        "Sizes of the visible effects that are named. Size: what the named effects find with the true energies less "
+        "what they find without, over what they can find of them. Of the way: the fall of the error on held-out days "
+        "by the named effect, over that by the true energies."
     )
     values = {
         "named": (
