@@ -206,7 +206,7 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
         "missing": [_short(name) for name in result["missing"]],
         **visibility,
         "intervals": compare_intervals(case, result["missing"], base, hidden) if case.hidden else [],
-        "baselines": {RANKED: rank_tested(result)} | rank_by_baselines(base, candidates)
+        "baselines": {RANKED: rank_candidates(result)} | rank_by_baselines(base, candidates)
         if is_for_baselines(case, visibility)
         else {},
         "errors": compute_errors(windows, model, hidden.sum(axis=1), named, case.seed)._asdict(),
@@ -221,9 +221,9 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
     return record
 
 
-def rank_tested(result: Mapping[str, Any]) -> list[str]:
+def rank_candidates(result: Mapping[str, Any]) -> list[str]:
     """Return the names of a diagnosis, then the other effects by their probability, the first `LONGEST`."""
-    names = [each["effect"] for each in (*result["missing"], *result["tested"])]
+    names = [each["effect"] for each in (*result["missing"], *result["candidates"])]
     return list(dict.fromkeys(names))[:LONGEST]
 
 
