@@ -29,6 +29,7 @@ def make_result(*missing: dict[str, Any], deviations: Sequence[dict[str, Any]] =
     first = missing[0]["credible_set"] if missing else [NONE]
     return {
         "missing": list(missing),
+        "candidates": [{"effect": each["effect"]} for each in missing],
         "verdict": missing[0]["effect"] if missing else None,
         "causes": [{"effect": name, "probability": 1.0 / len(first)} for name in first],
         "credible_set": first,

@@ -16,6 +16,7 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.core.wire.messages import Telemetry, Weather, encode
+from socast.tools.bench.hidden.baselines import RANKED
 from socast.tools.bench.hidden.cases import ABSORBED, FRESH, PARTS, Case, Selection, draw_sample
 from socast.tools.bench.hidden.drives import FLEET, Scope, simulate_drives
 from socast.tools.bench.hidden.evaluation import compute_errors, compute_true_energy, evaluate_case, predict_held_out
@@ -185,6 +186,7 @@ class TestEvaluation:
         assert record["z"] > 3.0
         assert record["visible"] is True
         assert record["baselines"]["stlsq"][0] == "headwind"
+        assert record["baselines"][RANKED][0] == "headwind"
         assert 0.05 < interval["truth"] < 3.0
         assert max(record["errors"]["truth"], record["errors"]["after"]) < record["errors"]["before"]
         assert record["stlsq_seconds"] > 0.0
