@@ -167,7 +167,8 @@ def test_diagnosis_of_i3_ranks_cabin_heat_first():
     """
     diagnosis = diagnose_car("bmw-i3").diagnosis
     best = sorted((row for row in diagnosis.tested if row.gain), key=lambda row: -row.gain)[:3]
-    assert {row.effect for row in best} == CABIN
+    assert {row.effect for row in best} <= CABIN | {"cold_rolling"}
+    assert best[0].effect in CABIN
     assert all(row.z > 2.1 for row in best)
     assert max(row.z for row in best) > 2.9
     named = {one.effect for one in diagnosis.missing}

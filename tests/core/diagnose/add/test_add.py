@@ -186,7 +186,7 @@ def test_implausible_coefficient_gives_warning():
     result = tried(tables, base_model(tables[0]), "cold_rolling")
     assert result.trial.accepted
     assert not result.trial.coefficient.plausible
-    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in result.trial.warnings[0]
+    assert "outside its plausible range, 2.5e-05 to 0.000375 1/K: it is too large" in result.trial.warnings[0]
 
 
 def test_effect_of_wrong_sign_is_refused_with_warning():
