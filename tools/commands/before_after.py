@@ -2,7 +2,7 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import pandas as pd
 import typer
@@ -107,11 +107,11 @@ def read_campaign(
     at: str | None,
     until: str | None = None,
     days: int | None = None,
-    toggle: Path | None = None,
+    toggle: Path | TextIO | None = None,
     what: str = "",
     plan: str | None = None,
 ) -> Campaign:
-    """Return the campaign that the options describe."""
+    """Return the campaign that the options describe; `toggle` may also be an open file."""
     cars = split_names(vehicles)
     sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
     if toggle is not None:
@@ -139,10 +139,11 @@ def read_campaign(
     return Campaign(cars, first, last, days, (), what, sizes)
 
 
-def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
+def read_spans(file: Path | TextIO, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
     """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign."""
+    path = file if isinstance(file, Path) else "the text of days on"
     try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+        table = pd.read_csv(file, dtype=str, keep_default_na=False).fillna("")  # a line may end before the last column
     except (OSError, ValueError) as error:
         raise SettingsError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
     columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)
