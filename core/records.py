@@ -17,6 +17,8 @@ import pandas as pd
 ConfidenceInterval = tuple[float, float]
 """Lower and upper end of an interval, both known."""
 SCALARS: Final = (str, int, float, bool, type(None))
+_EXACT: Final = {str, int, bool, type(None)}
+"""Types of values that are never turned into others."""
 
 
 class Shown(NamedTuple):
@@ -49,7 +51,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         """Turn numbers of NumPy into plain ones, and numbers that are not finite into None."""
         for name in self.__struct_fields__:
             value = getattr(self, name)
-            if type(value) not in {str, int, bool, type(None)}:
+            if type(value) not in _EXACT:
                 msgspec.structs.force_setattr(self, name, _make_plain(value))
 
     def to_json(self) -> dict[str, Any]:
@@ -116,7 +118,7 @@ def to_json_values(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [to_json_values(item) for item in value]
+        return list(value) if _is_plain(value) else [to_json_values(item) for item in value]
     return _make_plain(value)
 
 
@@ -127,7 +129,15 @@ def _make_plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if isfinite(value) else None
     if isinstance(value, list | tuple):
+        if _is_plain(value):
+            return value[:]
         return type(value)(map(_make_plain, value)) if type(value) in {list, tuple} else tuple(map(_make_plain, value))
     if isinstance(value, Mapping):
         return {str(key): _make_plain(item) for key, item in value.items()}
     return value
+
+
+def _is_plain(values: Sequence[Any]) -> bool:
+    """Return whether a record holds these values as they are; it is told fast of long lists of the same type."""
+    kinds = set(map(type, values))
+    return kinds <= _EXACT or (kinds == {float} and all(map(isfinite, values)))

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.condition.car_days import (
@@ -18,6 +19,7 @@ from socast.core.condition.car_days import (
     CarDays,
     forget_cars,
     gather_car_days,
+    select_columns,
     subtract_siblings,
 )
 from socast.core.condition.known_events import place_events
@@ -66,12 +68,13 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
     ModelError
         If there are no rides to compare, or fewer than six dates.
     """
-    compared = select_rides(rides, {model.name: forget_cars(model)})
+    compared = select_rides(select_columns(rides, model), {model.name: forget_cars(model)})
     days = gather_car_days(compared, model.name)
     consumption = follow_beside_siblings(days.consumption, days.models)
     capacity, cold_loss = _subtract_cold(days)
     batteries = follow(capacity, CAPACITY)
-    cars = [_assess_car(days, i, consumption, batteries) for i in range(len(days.cars))]
+    models, written = np.array(days.models), [_write_date(each) for each in days.consumption.dates]
+    cars = [_assess_car(days, i, models == models[i], written, consumption, batteries) for i in range(len(models))]
     known = np.isfinite(days.consumption.value)
     sizes = consumption.found.of_day**2, consumption.found.of_amount**2
     result = FleetCondition(
@@ -80,8 +83,8 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
         car_days=int(known.sum()),
         car_days_left_out=days.left_out,
         energy_left_out=days.energy_left_out,
-        first_date=_write_date(days.consumption.dates[0]),
-        last_date=_write_date(days.consumption.dates[-1]),
+        first_date=written[0],
+        last_date=written[-1],
         left_out=compared.left_out,
         day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(*sizes)[known]))),
         cold_loss_pct=None if cold_loss is None else 100.0 * cold_loss,
@@ -142,9 +145,10 @@ def _subtract_cold(days: CarDays) -> tuple[Series, float | None]:
     return series._replace(value=value + slope * days.cold, extra=extra), slope
 
 
-def _assess_car(days: CarDays, i: int, consumption: Followed, batteries: Followed) -> CarCondition:
-    """Return how a car is doing."""
-    same = np.array([each == days.models[i] for each in days.models])
+def _assess_car(
+    days: CarDays, i: int, same: NDArray[np.bool_], dates: list[str], consumption: Followed, batteries: Followed
+) -> CarCondition:
+    """Return how a car is doing beside those of the same vehicle model."""
     same[i] = False
     others = consumption.path.level[same, -1]
     siblings = int(np.isfinite(others).sum())
@@ -157,13 +161,15 @@ def _assess_car(days: CarDays, i: int, consumption: Followed, batteries: Followe
         vehicle_id=days.cars[i],
         vehicle_model=days.models[i],
         siblings=siblings if has_siblings else 0,
-        consumption=_describe_trend(consumption, i, expected, of_expected),
-        capacity=_describe_trend(batteries, i, 0.0, 0.0),
+        consumption=_describe_trend(consumption, i, dates, expected, of_expected),
+        capacity=_describe_trend(batteries, i, dates),
         nominal_kwh=nominal if np.isfinite(nominal) else None,
     )
 
 
-def _describe_trend(followed: Followed, i: int, expected: float, of_expected: float) -> Trend | None:
+def _describe_trend(
+    followed: Followed, i: int, dates: list[str], expected: float = 0.0, of_expected: float = 0.0
+) -> Trend | None:
     """Return the trend of a car beside what is expected, None where too few days are known."""
     value, path = followed.series.value[i], followed.path
     known = np.isfinite(value)
@@ -181,7 +187,7 @@ def _describe_trend(followed: Followed, i: int, expected: float, of_expected: fl
         rate_ci95_pct=_around(rate, rate_sd) if tells else None,
         is_changing=tells and abs(rate) > CLEAR_SDS * rate_sd,
         steps=[_describe_step(each) for each in followed.steps[i]],
-        dates=[_write_date(each) for each in followed.series.dates[shown]],
+        dates=[dates[each] for each in shown.tolist()],
         measured_pct=_to_percents(value[shown] - expected),
         path_pct=_to_percents(path.level[i, shown] - expected),
         path_sd_pct=(100.0 * np.hypot(path.sd[i, shown], np.sqrt(of_expected))).tolist(),
@@ -215,9 +221,9 @@ def _to_percent(log: float) -> float:
     return 100.0 * float(np.expm1(log))
 
 
-def _to_percents(logs: Floats) -> list[float | None]:
+def _to_percents(logs: Floats) -> list[float]:
     """Return the changes that logarithms of factors mean. [%]"""
-    return [_to_percent(each) for each in logs.tolist()]
+    return (100.0 * np.expm1(logs)).tolist()
 
 
 def _write_date(ordinal: float) -> str:

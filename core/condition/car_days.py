@@ -18,11 +18,14 @@ from socast.core.batch import Floats
 from socast.core.condition.level_model import Series
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
+from socast.core.evaluate.ride_filter import NEEDED_COLUMNS
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.formatting import format_count
 from socast.core.models import LinearModel
 from socast.core.models.features import VEHICLE_SCOPE
 
+CAPACITY_COLUMNS: Final = ("nominal_capacity_kwh", "energy_vi_kwh", "soc_start_pct", "soc_end_pct")
+"""Columns of the ride table that tell the usable capacity, besides the outside temperature."""
 LEAST_DATES: Final = 6
 """Number of dates below which nothing is told of a condition."""
 LEAST_KWH: Final = 0.1
@@ -35,6 +38,16 @@ LARGEST_FACTOR: Final = 3.0
 """A car-day with a larger factor, or one below its inverse, is none: its energy was not measured. [1]"""
 MILD_C: Final = 10.0
 """Outside temperature below which a battery holds less. [°C]"""
+
+
+def list_columns(model: LinearModel) -> list[str]:
+    """Return the columns of a ride table from which car-days are made; those of the capacity may be absent."""
+    return list(dict.fromkeys((*NEEDED_COLUMNS, *model.needs, *CAPACITY_COLUMNS)))
+
+
+def select_columns(rides: pd.DataFrame, model: LinearModel) -> pd.DataFrame:
+    """Return the columns of rides from which car-days are made, so that copies of them are small."""
+    return rides[[name for name in list_columns(model) if name in rides]]
 
 
 class CarDays(NamedTuple):
@@ -86,8 +99,8 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
     """
     rides = compared.rides
     car, cars = pd.factorize(rides["vehicle_id"].astype(str), sort=True)
-    ordinal = np.array([date.fromisoformat(str(each)).toordinal() for each in rides["date"]])
-    dates, at = np.unique(ordinal, return_inverse=True)
+    at, days = pd.factorize(rides["date"].astype(str), sort=True)
+    dates = np.array([date.fromisoformat(each).toordinal() for each in days])
     if len(dates) < LEAST_DATES:
         raise ModelError(
             f"the rides are of {format_count(len(dates), 'date')}, and a condition takes {LEAST_DATES}: give more days"

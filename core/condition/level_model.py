@@ -18,15 +18,16 @@ Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambri
 Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989) 881, DOI 10.2307/2290063.
 """
 
-from collections.abc import Collection, Sequence
-from math import isnan
-from typing import Any, Final, NamedTuple
+from collections.abc import Collection, Iterator, Sequence
+from math import isnan, log
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
-from socast.core.condition.level_smoother import smooth_level
+from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
 
 YEAR: Final = 365.25
 """Length of a year. [d]"""
@@ -116,6 +117,17 @@ class Path(NamedTuple):
     rate: Floats
     rate_sd: Floats
 
+    @classmethod
+    def make_empty(cls, series: Series) -> Self:
+        """Return paths of which nothing is known."""
+        n, days = series.value.shape
+        return cls(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
+
+    def put(self, row: int, level: Floats, variance: Floats, rate: float, rate_variance: float) -> None:
+        """Write the path of a car, with its last rate and the variance of that. [1/d], [1/d^2]"""
+        self.level[row], self.sd[row] = level, np.sqrt(np.maximum(variance, 0.0))
+        self.rate[row], self.rate_sd[row] = YEAR * rate, YEAR * max(rate_variance, 0.0) ** 0.5
+
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
     """Return the sizes of noise and wandering, and the series in which values far off have a larger variance.
@@ -155,24 +167,28 @@ def _maximise(series: Series, prior: Wandering) -> Wandering:
 
 def _compute_likelihood(series: Series, found: Wandering) -> float:
     """Return the logarithm of the likelihood of all cars, up to a constant."""
-    level, variance, _ = _predict_levels(series, found)
-    known = np.isfinite(level) & np.isfinite(series.value)
-    off = series.value[known] - level[known]
-    return -0.5 * float((off**2 / variance[known] + np.log(variance[known])).sum())
+    return _filter(series, found)[0]
 
 
 def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, Floats]:
     """Return the level that the days before predict for each value, the variance of their difference, and the noise."""
+    _, noise, predicted = _filter(series, found)
+    return predicted[0], predicted[1], noise
+
+
+def _filter(series: Series, found: Wandering) -> tuple[float, Floats, Floats]:
+    """Return the log-likelihood of all cars, the noise, and the predicted levels with their variances, (2, n, t)."""
     noise = series.compute_variance(found.of_day**2, found.of_amount**2)
     out = np.empty((2, *series.value.shape))
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
-    _filter_levels(series.value, noise, gaps, found.wander**2 / YEAR, (found.rate / YEAR) ** 2, out)
-    return out[0], out[1], noise
+    likelihood = _filter_levels(series.value, noise, gaps, found.wander**2 / YEAR, (found.rate / YEAR) ** 2, out)
+    return float(likelihood), noise, out
 
 
 @njit(cache=True)
-def _filter_levels(value: Any, noise: Any, gaps: Any, wander: float, rate_variance: float, out: Any) -> None:
-    """Write the predicted level of each value, and the variance of their difference; `gaps` are in days."""
+def _filter_levels(value: Any, noise: Any, gaps: Any, wander: float, rate_variance: float, out: Any) -> float:
+    """Write the predicted level of each value and the variance of their difference, and return the log-likelihood."""
+    twice = 0.0
     for i in range(value.shape[0]):
         level, rate = 0.0, 0.0
         for t in range(value.shape[1]):  # the level before is that of no data: it begins at the first value
@@ -190,30 +206,49 @@ def _filter_levels(value: Any, noise: Any, gaps: Any, wander: float, rate_varian
             if isnan(value[i, t]):
                 continue
             off, gain, gain_rate = value[i, t] - level, p_ll / variance, p_lr / variance
+            twice += off**2 / variance + log(variance)
             level += gain * off
             rate += gain_rate * off
             p_rr -= gain_rate * p_lr
             p_lr -= gain * p_lr
             p_ll -= gain * p_ll
+    return -0.5 * twice
 
 
-def smooth_levels(series: Series, found: Wandering, breaks: Sequence[Collection[int]] = ()) -> Path:
-    """Return the smoothed paths of the levels of cars.
+class SmoothedCar(NamedTuple):
+    """Hold the smoothed level of a car, its row, and what of it was given to `smooth_level`."""
+
+    row: int
+    known: NDArray[np.bool_]
+    noise: Floats
+    gaps: Floats
+    shocks: Floats
+    smoothed: SmoothedLevel
+
+
+def smooth_cars(series: Series, found: Wandering, breaks: Sequence[Collection[int]] = ()) -> Iterator[SmoothedCar]:
+    """Yield the smoothed level of each car with a value.
 
     `breaks` are the ordinals at which the level of each car changes suddenly, by an unknown amount.
     """
-    n, days = series.value.shape
     noise = series.compute_variance(found.of_day**2, found.of_amount**2)
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
-    out = Path(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
-    for i, value in enumerate(series.value):
-        known = np.isfinite(value)
+    every, variances = np.isfinite(series.value), found.compute_variances()
+    for row, (value, known) in enumerate(zip(series.value, every, strict=True)):
         if not known.any():
             continue
-        shocks = np.where(np.isin(series.dates, list(breaks[i]) if breaks else []), LEVEL_SD**2, 0.0)
-        car = smooth_level(
-            value, noise[i], gaps, shocks, start=float(value[known][0]), variances=found.compute_variances()
-        )
-        out.level[i], out.sd[i] = car.level, np.sqrt(np.maximum(car.variance, 0.0))
-        out.rate[i], out.rate_sd[i] = YEAR * car.rate[-1], YEAR * np.sqrt(max(car.rate_variance[-1], 0.0))
-    return out
+        shocks = np.zeros(len(value))
+        if breaks:
+            shocks[np.searchsorted(series.dates, list(breaks[row]))] = LEVEL_SD**2
+        start = float(value[known.argmax()])
+        smoothed = smooth_level(value, noise[row], gaps, shocks, start=start, variances=variances)
+        yield SmoothedCar(row, known, noise[row], gaps, shocks, smoothed)
+
+
+def smooth_levels(series: Series, found: Wandering) -> Path:
+    """Return the smoothed paths of the levels of cars."""
+    path = Path.make_empty(series)
+    for car in smooth_cars(series, found):
+        each = car.smoothed
+        path.put(car.row, each.level, each.variance, each.rate[-1], each.rate_variance[-1])
+    return path

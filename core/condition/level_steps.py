@@ -16,24 +16,23 @@ auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the Americ
 773, DOI 10.1080/01621459.1995.10476572, on evidence.
 """
 
-from collections.abc import Sequence
-from functools import partial
+import operator
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.level_model import (
-    LEVEL_SD,
     MOST_CARS,
     YEAR,
     Path,
     Series,
     Wandering,
     estimate_wandering,
-    smooth_levels,
+    smooth_cars,
 )
 from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
+from socast.core.condition.step_mixture import NO_SHOCK, mix_shocks
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
@@ -146,6 +145,12 @@ class _Evidence(NamedTuple):
     sizes: Floats
     variances: Floats
 
+    @property
+    def probability(self) -> float:
+        """Probability of a step on any of the dates. [1]"""
+        total = float(self.odds.sum())
+        return total / (1.0 + total)
+
     def rank_likely(self) -> Ints:
         """Return the likeliest ones, which hold the date with a probability of `DATE_SHARE`, by their odds."""
         chances = self.odds / self.odds.sum()
@@ -153,10 +158,10 @@ class _Evidence(NamedTuple):
         return order[: int(np.searchsorted(np.cumsum(chances[order]), DATE_SHARE)) + 1]
 
 
-def _weigh_steps(dates: Floats, car: SmoothedLevel) -> _Evidence:
+def _weigh_steps(dates: Floats, score: Floats, information: Floats) -> _Evidence:
     """Return the evidence of a step on each date with enough measurements before and after."""
     places = np.arange(LEAST_SIDE, len(dates) - LEAST_SIDE + 1)
-    precise, match = car.information[places] + STEP_SD**-2.0, car.score[places]
+    precise, match = information[places] + STEP_SD**-2.0, score[places]
     evidence = 0.5 * match**2 / precise - 0.5 * np.log(precise * STEP_SD**2)
     prior = STEPS_A_YEAR * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
     return _Evidence(places, prior * np.exp(np.clip(evidence, -50.0, 600.0)), match / precise, 1.0 / precise)
@@ -164,15 +169,13 @@ def _weigh_steps(dates: Floats, car: SmoothedLevel) -> _Evidence:
 
 def _find_step(dates: Floats, car: SmoothedLevel) -> tuple[LevelStep, int]:
     """Return the most likely step, and the place of its date."""
-    found = _weigh_steps(dates, car)
-    total = float(found.odds.sum())
-    chances, inside, best = found.odds / total, found.rank_likely(), int(np.argmax(found.odds))
+    found = _weigh_steps(dates, car.score, car.information)
+    chances, inside, best = found.odds / found.odds.sum(), found.rank_likely(), int(np.argmax(found.odds))
     size = float(chances @ found.sizes)
     sd = float(np.sqrt(chances @ (found.variances + (found.sizes - size) ** 2)))
     since = dates[found.places].astype(np.int64)
-    step = LevelStep(
-        int(since[best]), int(since[inside].min()), int(since[inside].max()), size, sd, total / (1.0 + total)
-    )
+    low, high = int(since[inside].min()), int(since[inside].max())
+    step = LevelStep(int(since[best]), low, high, size, sd, found.probability)
     return step, int(found.places[best])
 
 
@@ -183,31 +186,16 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
     the interval holds what the level would be with it and without. Level and rate are means of this mixture, with its
     standard deviations.
     """
-    path = smooth_levels(series, found, [[each.since for each in of_car] for of_car in steps])
-    noise, variances = series.compute_variance(found.of_day**2, found.of_amount**2), found.compute_variances()
-    gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
-    for i, value in enumerate(series.value):
-        known = np.flatnonzero(np.isfinite(value))
-        if len(known) < 2 * LEAST_SIDE:
-            continue
-        smooth = partial(smooth_level, value, noise[i], gaps, start=float(value[known[0]]), variances=variances)
-        broken = np.where(np.isin(series.dates, [each.since for each in steps[i]]), LEVEL_SD**2, 0.0)
-        without = smooth(broken)
-        weighed = _weigh_steps(series.dates[known].astype(np.float64), SmoothedLevel(*np.array(without)[:, known]))
-        likely, total = weighed.rank_likely(), float(weighed.odds.sum())
-        if total / (1.0 + total) < WEIGHED:
-            continue
-        chances = weighed.odds[likely] / weighed.odds[likely].sum() * total / (1.0 + total)
-        shocks = [broken + STEP_SD**2 * (np.arange(len(value)) == place) for place in known[weighed.places[likely]]]
-        runs, weights = [without, *map(smooth, shocks)], np.array([1.0 / (1.0 + total), *chances])
-        path.level[i], path.sd[i] = _mix(weights, [run.level for run in runs], [run.variance for run in runs])
-        rate, rate_sd = _mix(weights, [run.rate[-1:] for run in runs], [run.rate_variance[-1:] for run in runs])
-        path.rate[i], path.rate_sd[i] = YEAR * rate[0], YEAR * rate_sd[0]
+    path, variances = Path.make_empty(series), found.compute_variances()
+    for car in smooth_cars(series, found, [[each.since for each in of_car] for of_car in steps]):
+        level, variance, rate, rate_variance, score, information = car.smoothed
+        known, added = np.flatnonzero(car.known), NO_SHOCK
+        if len(known) >= 2 * LEAST_SIDE:
+            weighed = _weigh_steps(series.dates[known].astype(np.float64), score[known], information[known])
+            if (chance := weighed.probability) >= WEIGHED:
+                likely = np.sort(weighed.rank_likely())
+                chances = chance * weighed.odds[likely] / weighed.odds[likely].sum()
+                places, of_steps = known[weighed.places[likely]], (weighed.sizes[likely], weighed.variances[likely])
+                added = mix_shocks(*car[1:5], variances, places, chances, *of_steps)
+        path.put(car.row, *map(operator.add, (level, variance, rate[-1], rate_variance[-1]), added))
     return path
-
-
-def _mix(weights: Floats, means: Sequence[Floats], variances: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the mean and the standard deviation of mixtures."""
-    mean = weights @ np.array(means)
-    square = weights @ (np.maximum(variances, 0.0) + (np.array(means) - mean) ** 2)
-    return mean, np.sqrt(square)

@@ -2,7 +2,7 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import pandas as pd
 import typer
@@ -11,7 +11,7 @@ from socast.core import models
 from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
-from socast.core.condition.car_days import gather_car_days
+from socast.core.condition.car_days import gather_car_days, list_columns, select_columns
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.models import LinearModel
@@ -88,14 +88,15 @@ def compare(
     source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
     campaign = read_campaign(vehicles, at, until, days, toggle, what, plan)
     loaded = models.load(model)
-    result = evaluate_campaign(source.read_rides(loaded.effects), loaded, campaign)
+    result = evaluate_campaign(source.read_rides(loaded.effects, list_columns(loaded)), loaded, campaign)
     write_json(json_file, "before-after", result)
     show_report("before_after", result, html_file, json_file)
 
 
 def evaluate_campaign(rides: pd.DataFrame, model: LinearModel, campaign: Campaign) -> BeforeAfter:
     """Return what a campaign changed; one without a date and days on is planned for the day after the last rides."""
-    car_days = gather_car_days(select_rides(rides, {model.name: model}), model.name, LEAST_CAMPAIGN_KWH)
+    compared = select_rides(select_columns(rides, model), {model.name: model})
+    car_days = gather_car_days(compared, model.name, LEAST_CAMPAIGN_KWH)
     if campaign.at is None and not campaign.spans:
         campaign = campaign._replace(at=int(car_days.consumption.dates[-1]) + 1)
     return compare_before_after(car_days, campaign, model.name)
@@ -106,11 +107,11 @@ def read_campaign(
     at: str | None,
     until: str | None = None,
     days: int | None = None,
-    toggle: Path | None = None,
+    toggle: Path | TextIO | None = None,
     what: str = "",
     plan: str | None = None,
 ) -> Campaign:
-    """Return the campaign that the options describe."""
+    """Return the campaign that the options describe; `toggle` may also be an open file."""
     cars = split_names(vehicles)
     sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
     if toggle is not None:
@@ -138,10 +139,11 @@ def read_campaign(
     return Campaign(cars, first, last, days, (), what, sizes)
 
 
-def read_spans(path: Path, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
+def read_spans(file: Path | TextIO, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
     """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign."""
+    path = file if isinstance(file, Path) else "the text of days on"
     try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+        table = pd.read_csv(file, dtype=str, keep_default_na=False).fillna("")  # a line may end before the last column
     except (OSError, ValueError) as error:
         raise SettingsError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
     columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)

@@ -6,6 +6,7 @@ import typer
 
 from socast.core import models
 from socast.core.condition.car_condition import assess_condition
+from socast.core.condition.car_days import list_columns
 from socast.core.diagnose.inference.events import read_events
 from socast.tools.terminal.output import EventsFile, HtmlFile, JsonFile, write_json
 from socast.tools.terminal.report_output import show_report
@@ -37,8 +38,6 @@ def show_condition(
     source.check(json_file, html_file, models=[model])
     known = read_events(events) if events else []
     chosen = models.load(model)
-    with source.open_tables(chosen.effects) as tables:
-        rides = tables.read(chosen.effects, library=False)[0] if tables.is_recorded else tables.read_rides()
-    result = assess_condition(rides, chosen, known)
+    result = assess_condition(source.read_rides(chosen.effects, list_columns(chosen)), chosen, known)
     write_json(json_file, "condition", result.to_json())
     show_report("condition", result, html_file, json_file)

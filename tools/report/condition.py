@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import date
-from typing import Final
+from typing import Any, Final
 
 import plotly.graph_objects as go
 from rich.console import Console
@@ -273,7 +273,7 @@ def _illustrate(result: FleetCondition) -> list[Illustration]:
 
 def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
     """Return a figure of the consumption and the usable capacity of a car over the dates, with known events."""
-    traces: list[go.Scatter] = []
+    traces: list[dict[str, Any]] = []  # plotly checks traces of its own types twice
     for place, (name, trend) in enumerate((("consumption", car.consumption), ("usable capacity", car.capacity))):
         if trend is None:
             continue
@@ -283,26 +283,30 @@ def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
         band = [m + s for m, s in zip(middle, spread, strict=True)]
         band += [m - s for m, s in zip(reversed(middle), reversed(spread), strict=True)]
         traces += [
-            go.Scatter(
-                x=[*trend.dates, *reversed(trend.dates)],
-                y=band,
-                fill="toself",
-                mode="none",
-                fillcolor=look.colour,
-                opacity=0.25,
-                showlegend=False,
-                hoverinfo="skip",
-            ),
-            go.Scatter(
-                x=trend.dates,
-                y=trend.measured_pct,
-                mode="markers",
-                marker={"size": 5, "color": look.colour, "symbol": look.symbol, "opacity": 0.6},
-                name=f"{name}, day",
-            ),
-            go.Scatter(
-                x=trend.dates, y=middle, mode="lines", line={"color": look.colour, "dash": look.dash}, name=name
-            ),
+            {
+                "x": [*trend.dates, *reversed(trend.dates)],
+                "y": band,
+                "fill": "toself",
+                "mode": "none",
+                "fillcolor": look.colour,
+                "opacity": 0.25,
+                "showlegend": False,
+                "hoverinfo": "skip",
+            },
+            {
+                "x": trend.dates,
+                "y": trend.measured_pct,
+                "mode": "markers",
+                "marker": {"size": 5, "color": look.colour, "symbol": look.symbol, "opacity": 0.6},
+                "name": f"{name}, day",
+            },
+            {
+                "x": trend.dates,
+                "y": middle,
+                "mode": "lines",
+                "line": {"color": look.colour, "dash": look.dash},
+                "name": name,
+            },
         ]
     made = make_figure(traces, 280, x={"title_text": "date [UTC]"}, y={"title_text": "beside expected [%]"})
     made.add_hline(y=0.0, line=REFERENCE_LINE)

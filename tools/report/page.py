@@ -149,11 +149,11 @@ def _plot(one: Illustration) -> str:
 
 def _figures_data(one: Illustration) -> str:
     """Return the points of a figure as a folded table; a matrix already has a table below the figure."""
+    shown = [trace for trace in one.figure.data if trace.type != "heatmap" and trace.hoverinfo != "skip"]
     rows = "".join(
-        f"<tr><th scope=row>{trace.name}</th><td>{_number(x)}</td><td>{_number(y)}</td></tr>"
-        for trace in one.figure.data
-        if trace.type != "heatmap" and trace.hoverinfo != "skip"
-        for x, y in zip(trace.x, trace.y, strict=True)
+        f"<tr><th scope=row>{name}</th><td>{_number(x)}</td><td>{_number(y)}</td></tr>"
+        for name, points in [(trace.name, zip(trace.x, trace.y, strict=True)) for trace in shown]
+        for x, y in points
         if x is not None and y is not None
     )
     if not rows:

@@ -31,6 +31,7 @@ from socast.core.cleaning.elevation_smoother import smooth_elevation
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.silences import FleetSilences, select_inputs
 from socast.core.condition.level_model import CONSUMPTION, Series, estimate_wandering, smooth_levels
+from socast.core.condition.step_mixture import mix_shocks
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.models.trees import Trees
 from socast.core.pipeline import Pipeline
@@ -143,6 +144,8 @@ def _run_independent_kernels() -> None:
     _record_and_read(_make_messages())
     series = Series(np.arange(2), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2)))
     smooth_levels(*estimate_wandering(series, CONSUMPTION)[::-1])
+    two, shock = np.ones((3, 2)), (np.zeros(1, np.int64), *np.ones((3, 1)))
+    mix_shocks(two[0] > 0.0, *two, CONSUMPTION.compute_variances(), *shock)
 
 
 def _make_messages() -> list[Message]:

@@ -176,9 +176,12 @@ class RideSource:
             warn_of_losses(sources)
             yield RideSource([folder])
 
-    def read_rides(self, wanted: Sequence[str] = ()) -> pd.DataFrame:
-        """Return the ride table; one that is made of recordings has the wanted effects only."""
-        return self.read(wanted, library=False)[0] if self.is_recorded else read(self.files)
+    def read_rides(self, wanted: Sequence[str] = (), columns: Sequence[str] | None = None) -> pd.DataFrame:
+        """Return the ride table; one that is made of recordings has the wanted effects only.
+
+        Of tables, only `columns` are read, as far as they are there.
+        """
+        return self.read(wanted, library=False)[0] if self.is_recorded else read(self.files, present=columns)
 
     def read(self, wanted: Sequence[str] = (), report: Report | None = None, *, library: bool = True) -> BothTables:
         """Return the ride and window tables, read from tables or made from recordings."""

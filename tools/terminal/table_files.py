@@ -29,9 +29,17 @@ WINDOW: Final = "window"
 """Column with the number of a window in its ride, in the window table only."""
 
 
-def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read tables and concatenate them; with several files, the index of the file comes before each ride key."""
-    return join_parts([_read(file, columns) for file in files])
+def read(
+    files: Sequence[Path], columns: Sequence[str] | None = None, present: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Read tables and concatenate them; with several files, the index of the file comes before each ride key.
+
+    Parameters
+    ----------
+    columns, present : sequence of str, optional
+        Columns to read, that must be there, or else that are read where they are. Default: all.
+    """
+    return join_parts([_read(file, columns, present) for file in files])
 
 
 def join_parts(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -57,16 +65,16 @@ def is_table(path: Path) -> bool:
     return path.is_file() or (path.is_dir() and path.suffix == PARQUET and bool(list_parts(path)))
 
 
-def _read(table: Path, columns: Sequence[str] | None) -> pd.DataFrame:
+def _read(table: Path, columns: Sequence[str] | None, present: Sequence[str] | None) -> pd.DataFrame:
     """Read a table from its Parquet files."""
-    parts = [_read_file(file, columns) for file in list_parts(table)]
+    parts = [_read_file(file, columns, present) for file in list_parts(table)]
     if not parts:
         raise ModelError(f"{table} holds no Parquet file; name a table that `socast tables` made")
     whole: pd.DataFrame = pa.concat_tables(parts, promote_options="permissive").to_pandas()
     return whole
 
 
-def _read_file(file: Path, columns: Sequence[str] | None) -> pa.Table:
+def _read_file(file: Path, columns: Sequence[str] | None, present: Sequence[str] | None) -> pa.Table:
     """Read the columns of a Parquet file."""
     try:
         with pq.ParquetFile(file) as opened:
@@ -75,6 +83,8 @@ def _read_file(file: Path, columns: Sequence[str] | None) -> pa.Table:
                 raise ModelError(
                     f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
                 )
+            if present is not None:
+                columns = [name for name in present if name in there]
             return opened.read(columns=None if columns is None else list(columns))
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())

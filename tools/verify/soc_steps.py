@@ -24,7 +24,7 @@ from socast.core.forecast.soc_reading import REJECTION_MARGIN, REJECTION_SDS
 from socast.tools.verify.differences import Tallies, measure_differences
 from socast.tools.verify.soc_witness import SocWitness, Stretch, get_covariance, get_mean
 
-BEGINNING, DRIVER, STATISTICS = "beginning of a shift", "change of driver", "new statistics of the fleet"
+BEGINNING, STATISTICS = "beginning of a shift", "new statistics of the fleet"
 TEMPERATURE, SILENCE, CHARGING = "first temperature of a shift", "reset after silence", "charging"
 UNKNOWN, UNTRUSTED, LIMIT = "no charge known before", "untrusted jump", "estimate at a limit"
 """Causes for which a linear filter does not describe a step."""
@@ -53,6 +53,8 @@ class SocSteps:
         cause = find_cause(before, event)
         if not cause:
             witness = SocWitness(before)
+            if event["kind"] == RUNNING:
+                witness.take_driver(before)
             witness.predict(measure_stretch(before, event))
             cause = take_reading(witness, before, event)
         if cause:
@@ -66,11 +68,9 @@ def find_cause(before: Any, event: Any) -> str:
     """Return why a linear filter does not describe the step of an event, from the state of its car before it."""
     passed, duration = event["time"] - before["time"], event["duration"] - before["seen_time"]
     since = event["since_charge"]
-    changed = before["next_driver"] >= 0.0 and before["next_driver"] != before["driver"]
     other_level = event["level"] != before["level"] and not isnan(event["level"]) and not isnan(before["level"])
     causes = {
         BEGINNING: before["active"] == 0.0 or passed > SHIFT_GAP,
-        DRIVER: event["kind"] == RUNNING and changed,
         STATISTICS: other_level and event["car_kind"] == before["car_kind"],
         TEMPERATURE: duration > 0.0 and isnan(before["level_sd"]) and not isnan(event["level_sd"]),
         SILENCE: passed - max(duration, 0.0) > FILTER_RESET_SILENCE,

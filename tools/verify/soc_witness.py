@@ -1,8 +1,7 @@
 """The filter of the state of charge by filterpy, the witness of `socast.core.forecast.soc_filter`.
 
 The state is (s, a, c), as there. The covariance follows the slopes at the point where the shift began; the mean follows
-the equations themselves, by an input that makes up the difference. Rejected readings, resets and drivers are not
-described.
+the equations themselves, by an input that makes up the difference. Rejected readings and resets are not described.
 """
 
 from typing import Any, NamedTuple
@@ -95,6 +94,28 @@ class SocWitness:
         along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         made_up = kalman.x - [[fall], [0.0], [0.0]] - along @ kalman.x
         kalman.predict(u=made_up, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
+
+    def take_driver(self, car: Any) -> None:
+        """Take the driver that is named for a car, a FILTER_STATE, into account, if it is another one.
+
+        The first driver of a shift is a measurement of `a - c`. A second one replaces the first one's part of it.
+        """
+        if car["next_driver"] < 0.0 or car["next_driver"] == car["driver"]:
+            return
+        kalman, usual, prior = self.kalman, self.usual, car["usual_variance"]
+        wandered = CONSUMPTION_WANDER**2 * max(car["time"] - car["begin"], 0.0) / 3600.0
+        mean, variance = (car[f"next_driver_{name}"] - car[f"driver_{name}"] for name in ("mean", "variance"))
+        self.usual = usual + mean
+        if car["driver"] >= 0.0:
+            kept = 1.0 - car["driver_variance"] / (prior + wandered)
+            along = np.array([[1.0, 0.0, 0.0], [0.0, kept, 1.0 - kept], [0.0, 0.0, 1.0]])
+            blur = kept * car["driver_variance"] + car["next_driver_variance"]
+            added = np.array([[0.0], [(1.0 - kept) * usual + mean], [0.0]])
+            kalman.predict(u=added, B=np.eye(3), F=along, Q=np.diag([0.0, blur, 0.0]))
+        elif variance < 0.0:
+            noise = 1.0 / (1.0 / (prior + variance) - 1.0 / prior)
+            seen = noise * (self.usual / (prior + variance) - usual / prior)
+            kalman.update(seen, noise + wandered, np.array([[0.0, 1.0, -1.0]]))
 
     def compare(self, variance: float) -> None:
         """Update by the measured energy of a stretch, with the variance of its residual over its energy. [kWh]"""

@@ -6,7 +6,7 @@ compared ride by ride. Rides of one vehicle on one day are correlated; the inter
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
@@ -65,6 +65,8 @@ class ComparedRides:
         Vehicle-day of each ride.
     left_out : dict of str to int
         Number of excluded rides, by reason in words.
+    models : mapping of str to LinearModel
+        The models.
     """
 
     rides: pd.DataFrame
@@ -73,7 +75,7 @@ class ComparedRides:
     clusters: Codes
     read: int
     left_out: dict[str, int]
-    notes: tuple[str, ...] = ()
+    models: Mapping[str, LinearModel] = field(default_factory=dict)
 
     @property
     def noise_floor(self) -> float:
@@ -117,7 +119,7 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
         clusters=assign_vehicle_days(kept),
         read=len(rides),
         left_out=left_out,
-        notes=_notes(kept, models),
+        models=models,
     )
 
 
@@ -144,8 +146,9 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
     return energy
 
 
-def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str, ...]:
+def list_notes(compared: ComparedRides) -> list[str]:
     """Return notes on what the models were fitted to and what the rides lack, and on implausible coefficients."""
+    rides, models = compared.rides, compared.models
     notes = [
         f"{label}: {line}"
         for label, model in models.items()
@@ -165,13 +168,13 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
                     f"{label} was fitted to rides from {trained.first_date} to {trained.last_date}; {n:,} of these "
                     "may be among them, and its error on other rides is larger: `socast evaluate` measures it"
                 )
-    if assign_vehicle_days(rides).max() == 0:
+    if compared.clusters.max() == 0:
         notes.append(f"{format_count(len(rides), 'ride')} of one car on one day: too few for intervals")
     if "driver_id" not in rides or rides["driver_id"].isna().all():
         notes.append("drivers are unknown: errors are shown by vehicle, not by driver")
-    counts = {label: model.count_limited(rides, model.predict_energy(rides)) for label, model in models.items()}
+    counts = {label: model.count_limited(rides, compared.predicted[label]) for label, model in models.items()}
     notes += [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
-    return tuple(notes)
+    return notes
 
 
 def compare_predictions(compared: ComparedRides, word_command: Callable[[str, str], str] = lambda *_: "") -> Comparison:
@@ -199,7 +202,7 @@ def compare_predictions(compared: ComparedRides, word_command: Callable[[str, st
             measured_kwh=compared.measured.tolist(),
             predicted_kwh={label: energy.tolist() for label, energy in compared.predicted.items()},
         ),
-        notes=list(compared.notes),
+        notes=list_notes(compared),
     )
 
 

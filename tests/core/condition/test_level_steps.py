@@ -6,7 +6,6 @@ import pytest
 from socast.core.condition.car_days import subtract_siblings
 from socast.core.condition.level_model import CONSUMPTION, Series, Wandering, smooth_levels
 from socast.core.condition.level_steps import (
-    _mix,
     find_steps,
     separate_steps,
     smooth_between_steps,
@@ -77,10 +76,3 @@ def test_a_step_that_is_not_sure_widens_the_interval_of_the_level():
     assert mixed.sd[0, -1] > 1.3 * plain.sd[0, -1]
     assert mixed.sd[1, -1] < 1.15 * plain.sd[1, -1]
     assert mixed.level[1] == pytest.approx(plain.level[1], abs=0.005)
-
-
-def test_mixture_is_that_of_the_models_with_and_without_a_step():
-    weights, means, variances = np.array([0.75, 0.25]), [np.zeros(1), np.full(1, 0.08)], [np.full(1, 1e-4)] * 2
-    mean, sd = _mix(weights, means, variances)
-    assert mean == pytest.approx(0.02)
-    assert sd**2 == pytest.approx(1e-4 + 0.75 * 0.02**2 + 0.25 * 0.06**2)

@@ -1,15 +1,17 @@
 """`socast verify` tells how far the filters are from filterpy's, and exits with 1 where that is too far."""
 
 import json
+from math import log10
 
 import pytest
 
 from socast.stream.mcap_writer import McapSink
-from socast.tools.report.verification import describe
+from socast.tools.report.verification import LEAST_DRAWN, build_report, describe
 from socast.tools.verify import soc_witness
 from socast.tools.verify.differences import Tallies
 from socast.tools.verify.records import GOAL, Verification
 from tests.support.commands import called, refused
+from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.recorded_shift import shift
 
 
@@ -66,3 +68,28 @@ def test_recording_of_something_else_is_refused(tmp_path, capsys):
     with McapSink(path, 20_000) as sink:
         sink.put([shift(1)[0]._replace(key="somewhere/else")])
     assert "no message that socast can read" in refused(capsys, "verify", path)
+
+
+def test_page_shows_each_difference_beside_the_goal(recording, tmp_path):
+    page, data = tmp_path / "v.html", tmp_path / "v.json"
+    out, _, code = called("verify", recording, "--html", page, "--json", data)
+    assert code == 0
+    assert f"report in {page}" in " ".join(out.split())
+    text = page.read_text(encoding="utf-8")
+    read_page(text)
+    assert text.count("car-1</th>") == 2  # a row of each filter, without --cars too
+    (figure,) = read_figures(text).values()
+    assert_axes_are_titled(figure)
+    cars, largest = figure["data"]
+    filters = json.loads(data.read_text(encoding="utf-8"))["filters"]
+    values = [value for each in filters for value in (each["mean"], each["covariance"])]
+    assert largest["x"] == [max(value, LEAST_DRAWN) for value in values]
+    assert len(cars["x"]) == 3 * len(values)
+    low, high = figure["layout"]["xaxis"]["range"]
+    assert low < log10(LEAST_DRAWN) < log10(GOAL) < high
+    assert figure["layout"]["annotations"][0]["x"] == log10(GOAL)
+
+
+def test_page_without_a_compared_step_has_no_figure():
+    result = Verification(goal=GOAL, filters=[Tallies().summarise("state of charge")])
+    assert build_report(result).draw("filters") == []

@@ -56,7 +56,6 @@ def test_each_kind_of_step_that_no_linear_filter_describes_is_counted_by_its_cau
     assert result.passed_over == {
         soc_steps.UNTRUSTED: 10,
         soc_steps.CHARGING: 10,
-        soc_steps.DRIVER: 2,
         soc_steps.BEGINNING: 2,
         soc_steps.STATISTICS: 1,
         soc_steps.SILENCE: 1,
@@ -64,6 +63,32 @@ def test_each_kind_of_step_that_no_linear_filter_describes_is_counted_by_its_cau
     }
     assert result.steps == result.compared + result.passed == events.size + late.size + next_day.size
     assert result.meets_goal
+
+
+def test_drivers_are_compared_the_first_one_and_those_who_take_over():
+    events, _ = shift(1, 1.0, 0.01)
+    named = [name_driver(code, 0.05 * code, 0.001) for code in (1, 2)]
+    result = verify(events[0, :50], named[0], events[0, 50:100], named[1], events[0, 100:])
+    assert result.passed_over == {soc_steps.BEGINNING: 1}
+    assert result.compared == events.size - 1
+    assert result.meets_goal
+
+
+@pytest.mark.parametrize("name", ["next_driver_mean", "next_driver_variance"])
+@pytest.mark.parametrize("first", [True, False])
+def test_driver_who_is_off_by_a_millionth_misses_the_goal(name, first, monkeypatch):
+    take = soc_witness.SocWitness.take_driver
+
+    def take_another(witness, car):
+        if first == (car["driver"] < 0.0):
+            car = car.copy()
+            car[name] *= 1.0 + 1e-6
+        take(witness, car)
+
+    monkeypatch.setattr(soc_witness.SocWitness, "take_driver", take_another)
+    events, _ = shift(1, 1.0, 0.01)
+    named = [name_driver(code, 0.05 * code, 0.001) for code in (1, 2)]
+    assert verify(events[0, :50], named[0], events[0, 50:100], named[1], events[0, 100:]).meets_goal is False
 
 
 def test_events_are_filtered_as_without_a_listener():

@@ -4,10 +4,14 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from socast.core.condition.campaign_records import BeforeAfter
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.workspace import Workspace
+
+DAYS_ON: Final = "days-on.csv"
+"""File of days on that the shown commands write."""
 
 
 def compare_command(workspace: Workspace, nodes: Sequence[ModelNode], ride: str = "") -> str:
@@ -48,14 +52,26 @@ def condition_commands(workspace: Workspace, node: ModelNode) -> list[str]:
     ]
 
 
-def before_after_commands(workspace: Workspace, node: ModelNode, result: BeforeAfter) -> list[str]:
-    """Return the commands that compare cars before and after; `--vehicles` of the last one names the cars."""
+def before_after_commands(workspace: Workspace, node: ModelNode, result: BeforeAfter, days_on: str = "") -> list[str]:
+    """Return the commands that compare cars before and after; `--vehicles` of the last one names the cars.
+
+    `days_on` is the text of a file of days on, which the commands write first.
+    """
     source = workspace.given.source
     made, data, options = list[str](), _data(workspace), replace(source, vehicle_files=()).list_options()
     if workspace.recorded and source.vehicle_files:
         made, data = _make_tables(workspace)
         options = _effects(workspace)
-    given = {"--vehicles": ",".join(result.vehicles), "--at": result.at, "--until": result.until, "--what": result.what}
+    if days_on:
+        writes = shlex.join(["printf", "%s\\n", *days_on.splitlines()])
+        made.append(f"{writes} > {DAYS_ON}")
+    given = {
+        "--vehicles": ",".join(result.vehicles),
+        "--at": result.at,
+        "--until": result.until,
+        "--toggle": DAYS_ON if days_on else None,
+        "--what": result.what,
+    }
     words = [*data, *_models([node]), *options, *(word for pair in given.items() if pair[1] for word in pair)]
     return [*made, shlex.join(["socast", "before-after", *map(str, words)])]
 

@@ -26,8 +26,23 @@ def describe_condition(workspace: Workspace, node: ModelNode, found: FleetCondit
     }
 
 
-def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign) -> dict[str, Any]:
-    """Return the report of `socast before-after` with its words, and the placebo campaigns by estimate."""
+def complete_days_on(text: str) -> str:
+    """Return days on that were typed as the text of a CSV file; a header of the dates is added where there is none.
+
+    Examples
+    --------
+    >>> complete_days_on(" 2018-11-10, 2018-11-12 ").splitlines()
+    ['begin,end', '2018-11-10,2018-11-12']
+    """
+    lines = [",".join(part.strip() for part in line.split(",")) for line in text.splitlines() if line.strip()]
+    return "\n".join(["begin,end", *lines] if lines and lines[0][0].isdigit() else lines)
+
+
+def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign, days_on: str = "") -> dict[str, Any]:
+    """Return the report of `socast before-after` with its words, and the placebo campaigns by estimate.
+
+    `days_on` is the text of the file of days on, which the shown commands write.
+    """
     from socast.tools.report.before_after import count_placebos, describe_campaign  # noqa: PLC0415 - as above
 
     result = evaluate_campaign(workspace.tables.rides, node.model, campaign)
@@ -39,7 +54,7 @@ def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign) ->
         "report": result.to_json(),
         "words": describe_campaign(result),
         "placebos": placebos,
-        "commands": before_after_commands(workspace, node, result),
+        "commands": before_after_commands(workspace, node, result, days_on),
     }
 
 

@@ -13,6 +13,7 @@ from socast.core.evaluate.compare.models import (
     compute_errors,
     describe_rides,
     format_exclusions,
+    list_notes,
     select_rides,
 )
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
@@ -64,7 +65,7 @@ def describe_compared_rides(workspace: Workspace, node: ModelNode) -> dict[str, 
         "values": {column.key: round_values(values) for column, values in columns},
         "keys": compared.keys,
         "about": describe_rides(compared).to_json() | {"left_out_words": format_exclusions(compared.left_out)},
-        "notes": list(compared.notes),
+        "notes": list_notes(compared),
         "command": compare_command(workspace, [node]),
     }
 

@@ -1,6 +1,7 @@
 """The routes of the pages about rides, errors, causes and models."""
 
 from collections.abc import Mapping
+from io import StringIO
 from typing import Any, Final
 
 from socast.core.errors import SettingsError
@@ -148,10 +149,13 @@ def _compare_repair(workbench: Workbench, request: JsonRequest) -> dict[str, Any
     vehicles, at, until, what = (
         " ".join(str(body.get(name) or "").split()) for name in ("vehicles", "at", "until", "what")
     )
-    campaign = read_campaign(vehicles, at or None, until or None, what=what)
+    days_on = condition.complete_days_on(str(body.get("days_on") or ""))
+    campaign = read_campaign(
+        vehicles, at or None, until or None, toggle=StringIO(days_on) if days_on else None, what=what
+    )
 
     def compare(report: Report) -> dict[str, Any]:
-        record = condition.compare_repair(workspace, model, campaign)
+        record = condition.compare_repair(workspace, model, campaign, days_on)
         report(1.0)  # a cancelled comparison ends here
         return record
 

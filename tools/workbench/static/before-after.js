@@ -3,29 +3,50 @@
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
 import { count, number, quantity, signed, signedShare } from "./format.js";
-import { command, field, progress, put } from "./loop.js";
+import { choice, command, field, progress, put } from "./loop.js";
+
+const EXAMPLE = "2018-11-10,2018-11-16\n2018-11-24,2018-11-30";
+export const READ_ONLY = "This workbench is read-only and compares nothing; start socast serve without --read-only.";
 
 let made = 0;
 
-// Return {node, fill(given), destroy()} of a car; `fill` opens the form and takes {vehicles, at, what}.
+// Return {node, fill(given), destroy()} of a car; `fill` opens the form and takes {vehicles, at, what}. Of a date and
+// days on, the fields of the one that is not chosen are hidden and not sent.
 export function makeBeforeAfter(car, model, context) {
   let plot = null;
   let busy = false;
   made += 1;
-  const input = (words, name, attributes) => field(words, `repair-${made}-${name}`, el("input", { name, autocomplete: "off", ...attributes }));
-  const submit = el("button", { type: "submit", class: "primary", disabled: context.session.read_only }, "Compare before and after");
+  const readOnly = context.session.read_only;
+  const label = (words, name, control) => field(words, `repair-${made}-${name}`, control);
+  const input = (words, name, attributes) => label(words, name, el("input", { name, autocomplete: "off", ...attributes }));
+  const text = el("textarea", { name: "days_on", rows: 4, spellcheck: "false", placeholder: EXAMPLE, "aria-describedby": `repair-${made}-help` });
+  const file = el("input", { type: "file", accept: ".csv,text/csv", onchange: async () => { if (file.files.length) text.value = await file.files[0].text(); } });
+  const ofDate = el("fieldset", { class: "question-fields" },
+    input("Date [UTC]", "at", { type: "date" }),
+    input("Last date [UTC], if not all", "until", { type: "date" }));
+  const ofDays = el("fieldset", { class: "question-fields" },
+    label("Days on [UTC], a line for each time", "days", text),
+    label("or a file of them", "file", file),
+    el("p", { class: "note small", id: `repair-${made}-help` }, "First and last day on, both included. Lines vehicle_id,begin,end below a header of these names are of single cars; then no vehicle need be named above."));
+  const way = choice([["date", "since a date"], ["days", "on some days, not on others"]], "date", () => show());
+  const show = () => [ofDate, ofDays].forEach((part) => {
+    part.hidden = (part === ofDays) !== (way.value === "days");
+    part.disabled = part.hidden;
+  });
+  show();
+  const submit = el("button", { type: "submit", class: "primary" }, "Compare before and after");
   const answer = el("div", { class: "answer" });
   const form = el("form", { class: "question", novalidate: true, "aria-label": `Repair of ${car}`, onsubmit: (event) => {
     event.preventDefault();
     if (!busy) ask();
   } },
-  el("div", { class: "question-fields" },
-    input("Vehicles, with commas", "vehicles", { value: car }),
-    input("What was done", "what", { placeholder: "new tyres" }),
-    input("Date [UTC]", "at", { type: "date" }),
-    input("Last date [UTC], if not all", "until", { type: "date" })),
-  submit);
-  const node = el("details", { class: "same repair" }, el("summary", {}, "Did a repair help?"), form, answer);
+  el("fieldset", { class: "stack", disabled: readOnly },
+    el("div", { class: "question-fields" },
+      input("Vehicles, with commas", "vehicles", { value: car }),
+      input("What was done", "what", { placeholder: "new tyres" }),
+      label("It was done", "way", way)),
+    ofDate, ofDays, submit));
+  const node = el("details", { class: "same repair" }, el("summary", {}, "Did a repair help?"), readOnly && el("p", { class: "note small" }, READ_ONLY), form, answer);
 
   const clear = () => { plot?.destroy(); plot = null; };
 
@@ -66,11 +87,13 @@ export function makeBeforeAfter(car, model, context) {
   return {
     node,
     fill(given) {
+      way.value = "date";
+      show();
       for (const name of ["vehicles", "what", "at", "until"]) form.elements[name].value = given[name] ?? "";
       clear();
       put(answer);
       node.open = true;
-      (submit.disabled ? form.elements.at : submit).focus();
+      submit.focus();
     },
     destroy: clear,
   };

@@ -1,6 +1,6 @@
 // The page "Condition": how each car is doing, since when, and where the energy of the fleet goes.
 
-import { makeBeforeAfter } from "./before-after.js";
+import { makeBeforeAfter, READ_ONLY } from "./before-after.js";
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
 import { count, number, quantity, signed } from "./format.js";
@@ -47,7 +47,7 @@ export function mount(root, first, context) {
       host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || CLEAR), list, repair.node));
       const plot = chart(place, describeTrend(car));
       plots.push(plot, repair);
-      const choose = ({ date, what, of_all: isOfAll }) => repair.fill({ vehicles: isOfAll ? everyone : car.vehicle_id, what, at: date });
+      const choose = !context.session.read_only && (({ date, what, of_all: isOfAll }) => repair.fill({ vehicles: isOfAll ? everyone : car.vehicle_id, what, at: date }));
       if (car.events.length) list.append(listEvents(car, plot, choose));
     });
     const more = cars.length > shown && el("button", { type: "button", onclick: () => {
@@ -58,7 +58,7 @@ export function mount(root, first, context) {
     } }, "Show more cars");
     requestAnimationFrame(() => add(0)); // a chart is drawn once its place has a width
     return el("section", { class: "card stack", "aria-label": "Each car" }, el("h2", {}, "Each car"),
-      el("p", { class: "note small" }, "“Did a repair help?” compares the days of a car before and after a date. A known event fills the form."), host, more);
+      el("p", { class: "note small" }, `“Did a repair help?” compares the days of a car before and after a date, or days on and off. ${context.session.read_only ? READ_ONLY : "A known event fills the form."}`), host, more);
   }
 
   draw();
@@ -102,12 +102,12 @@ function describeTrend(car) {
 }
 
 // The known events of a car as buttons; one that has the focus or the pointer is marked in the chart, and `choose`
-// receives the one that is pressed.
+// receives the one that is pressed, where it is given.
 function listEvents(car, plot, choose) {
   const show = (day) => () => plot.setCursor(day, day !== null);
   const button = (event) => {
     const [mark, unmark] = [show(toDay(event.date)), show(null)];
-    return el("button", { type: "button", title: "Compare before and after", onfocus: mark, onclick: () => choose(event), onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, event.words);
+    return el("button", { type: "button", title: choose && "Compare before and after", onfocus: mark, onclick: () => choose && choose(event), onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, event.words);
   };
   return el("ul", { class: "events", "aria-label": `Known events of ${car.vehicle_id}` }, car.events.map((event) => el("li", {}, button(event))));
 }

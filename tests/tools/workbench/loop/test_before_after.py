@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import subprocess
 from pathlib import Path
 
 import msgspec
@@ -88,6 +89,9 @@ def test_date_to_come_has_no_change_and_no_placebo_distribution(client):
         ({"vehicles": " , "}, "not named (--vehicles)"),
         ({"until": "2018-11-01"}, "--until is 2018-11-01, and must be after --at, 2018-11-10"),
         ({"model": "none"}, "none"),
+        ({"days_on": "2018-11-10,2018-11-12"}, "--at is given with --toggle"),
+        ({"at": "", "days_on": "2018-11-10,12.11."}, "the text of days on, line 2: end is '12.11.'"),
+        ({"at": "", "days_on": "since,until"}, "its header must be vehicle_id,begin,end"),
     ],
 )
 def test_wrong_input_is_refused_before_work_begins(client, changes, words):
@@ -115,6 +119,26 @@ def test_read_only_workbench_compares_nothing(workspace):
         answer = Client(server).post("/api/before-after", REPAIR)
     assert answer.code == 403
     assert answer.record()["error"].startswith("this workbench is read-only")
+
+
+def test_days_on_are_compared_with_days_off_as_by_the_command_which_is_shown(client, tmp_path):
+    periods = "2018-10-20, 2018-10-27\n\n2018-11-10,2018-11-17\n2018-12-10"
+    job = _compare(client, {"model": MODEL, "vehicles": "taxi-005", "what": "eco mode", "days_on": periods})
+    assert job["status"] == "done", job
+    assert "on days on (eco mode)" in job["result"]["words"][0]
+    assert job["result"]["report"]["change"]["days_after"] > 10
+    writes, compares = job["result"]["commands"]
+    subprocess.run(writes, shell=True, check=True, cwd=tmp_path)
+    words = shlex.split(compares)
+    words[words.index("days-on.csv")] = tmp_path / "days-on.csv"
+    done(*words[1:], "--json", tmp_path / "report.json")
+    assert json.loads((tmp_path / "report.json").read_text()).items() >= job["result"]["report"].items()
+
+
+def test_days_on_may_name_their_cars(client):
+    periods = "vehicle_id,from,to\ntaxi-005,2018-11-10,\ntaxi-002,2018-10-10,2018-11-20"
+    result = _compare(client, {"model": MODEL, "vehicles": "", "days_on": periods})["result"]
+    assert result["report"]["vehicles"] == ["taxi-005", "taxi-002"]
 
 
 def test_data_sheets_of_cars_are_given_to_the_tables(workspace, answer):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -49,7 +50,7 @@ def events(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def server(own, events):
+def workbench(own, events):
     """A workbench that reads the recording while the first page opens, with a model that is quickly refitted."""
     workspace = Workspace(
         Given(
@@ -58,12 +59,17 @@ def server(own, events):
             events=events,
         )
     )
-    workbench = Workbench(workspace, Jobs())
-    workbench.jobs.start("reading the rides", workspace.open)
+    opened = Workbench(workspace, Jobs())
+    opened.jobs.start("reading the rides", workspace.open)
+    yield opened
+    opened.jobs.end()
+    workspace.close()
+
+
+@pytest.fixture(scope="module")
+def server(workbench):
     with serve(workbench) as served:
         yield served
-    workbench.jobs.end()
-    workspace.close()
 
 
 @pytest.fixture(scope="module")
@@ -293,6 +299,42 @@ def test_event_of_all_cars_compares_all_of_them_and_errors_are_one_line(visit):
     submit.click()
     page.get_by_role("alert").get_by_text("is missing (--at)").wait_for()
     assert page.locator(".answer dl").count() == 0
+
+
+def test_days_on_of_a_file_are_compared_with_days_off(visit, tmp_path):
+    page, file = visit.page, tmp_path / "eco.csv"
+    file.write_text("begin,end\n2018-10-20,2018-10-27\n2018-11-10,2018-11-17\n2018-12-05,\n", encoding="utf-8")
+    visit.go("#/fleet")
+    visit.go("#/condition")
+    page.get_by_text("Did a repair help?", exact=True).first.click()
+    form = page.get_by_role("form", name="Repair of").first
+    form.get_by_label("What was done").fill("eco mode")
+    form.get_by_label("Date [UTC]", exact=True).fill("2018-11-10")
+    form.get_by_label("It was done").select_option("days")
+    assert not form.get_by_label("Date [UTC]", exact=True).is_visible()
+    form.get_by_label("or a file of them").set_input_files(file)
+    visit.wait("() => document.querySelector('.repair[open] textarea').value.startsWith('begin,end')")
+    form.get_by_role("button", name="Compare before and after").click()
+    page.locator(".answer").get_by_text("on days on (eco mode)").wait_for()
+    page.get_by_text("--toggle days-on.csv").wait_for(state="attached")
+    assert list_violations(page) == []
+
+
+def test_read_only_form_says_at_once_why_it_cannot_be_filled(browser, workbench):
+    with serve(replace(workbench, read_only=True)) as locked:
+        looking = Visit(browser, locked)
+        looking.go("#/condition")
+        page = looking.page
+        page.get_by_role("region", name="Each car").get_by_text("read-only and compares nothing").first.wait_for()
+        page.get_by_text("Did a repair help?", exact=True).first.click()
+        form = page.get_by_role("form", name="Repair of").first
+        assert form.get_by_label("Vehicles").is_disabled()
+        assert form.get_by_role("button", name="Compare before and after").is_disabled()
+        page.get_by_role("list", name="Known events of taxi-002").get_by_role("button", name="new tyres").click()
+        assert page.locator(".repair[open]").count() == 1
+        assert list_violations(page) == []
+        assert looking.errors == []
+        looking.close()
 
 
 def test_own_effect_is_read_again_when_its_file_changes(visit, own):
