@@ -7,7 +7,6 @@ Cars of a fleet share the weather of a date and whatever the model lacks of it. 
 cars, the mean of the others is taken off each of them, so that the series of a car is its deviation from its siblings.
 """
 
-from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from socast.core.batch import Floats
 from socast.core.condition.level_model import Series
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
-from socast.core.fit.ride_blocks import get_numbers
+from socast.core.fit.ride_blocks import get_numbers, parse_ride_date
 from socast.core.formatting import format_count
 from socast.core.models import LinearModel
 from socast.core.models.features import VEHICLE_SCOPE
@@ -86,7 +85,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
     """
     rides = compared.rides
     car, cars = pd.factorize(rides["vehicle_id"].astype(str), sort=True)
-    ordinal = np.array([date.fromisoformat(str(each)).toordinal() for each in rides["date"]])
+    ordinal = np.array([parse_ride_date(str(each)).toordinal() for each in rides["date"]])
     dates, at = np.unique(ordinal, return_inverse=True)
     if len(dates) < LEAST_DATES:
         raise ModelError(

@@ -1,11 +1,13 @@
 """A forged file of any kind is refused in one line of bounded length."""
 
 import json
+import os
 from contextlib import suppress
+from threading import Thread
 
 import pytest
 
-from socast.core import models
+from socast.core import errors, models
 from socast.core.errors import SocastError
 from socast.core.models.file import encode_model
 from socast.tools.cli import LONGEST_LINE
@@ -27,6 +29,7 @@ CONTENTS = {
     "nested TOML": b"a = " + b"[" * DEPTH + b"]" * DEPTH,
     "nested TOML tables": b"a = " + b"{a=" * DEPTH + b"1" + b"}" * DEPTH,
     "nested signs": b"a = " + b"-" * 100_000 + b"1",
+    "key of 100,000 parts": b".".join([b"a"] * 100_000) + b" = 1",
     "5,000 digits of TOML": b"a = 1" + b"0" * 5000,
     "5,000 digits of JSON": b'{"a": 1' + b"0" * 5000 + b"}",
     "lone surrogate": b'{"a": "\\ud800"}',
@@ -61,6 +64,50 @@ def test_forged_file_is_no_traceback_where_the_product_reads_its_own(tmp_path, r
     path.write_bytes(CONTENTS[content])
     with suppress(SocastError):
         read(path)
+
+
+PLACES = {
+    "a circle of links": lambda path: path.symlink_to(path.name),
+    "a folder": lambda path: path.mkdir(),
+    "an endless device": lambda path: path.symlink_to("/dev/zero"),
+    "a pipe without a writer": os.mkfifo,
+    "absent": lambda _: None,
+}
+READERS = {
+    **COMMANDS,
+    "events.csv": ("condition", RECORDINGS / "shift.mcap", "--model", "extended_physical", "--events"),
+    "plan.json": ("ask", "taxi-1", "--plan"),
+    "tile.hgt": ("tables", RECORDINGS / "shift.mcap", "--out", "unused", "--elevation"),
+    "tile.zip": ("tables", RECORDINGS / "shift.mcap", "--out", "unused", "--elevation"),
+    "map.parquet": ("elevation", "info"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", READERS)
+def test_what_stands_in_place_of_a_file_is_one_line(tmp_path, capsys, monkeypatch, name, place):
+    monkeypatch.setattr(errors, "LONGEST_WAIT_S", 0.1)
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / name
+    PLACES[place](path)
+    refused(capsys, *READERS[name], path)
+
+
+def test_pipe_with_a_writer_is_read(tmp_path, capsys):
+    path = tmp_path / "cars.toml"
+    os.mkfifo(path)
+    writer = Thread(target=path.write_text, args=("[x]\nmass_kg = 1800\n",))
+    writer.start()
+    assert "nominal_capacity_kwh" in refused(capsys, *COMMANDS["cars.toml"], path)
+    writer.join()
+
+
+@pytest.mark.parametrize("displays", ["3", '"x"', "[1]", '{"a": 1}', '[{"vehicle_id": 1}]', "[" * DEPTH])
+def test_forged_displays_are_refused(tmp_path, displays):
+    path = tmp_path / "x.truth.json"
+    path.write_text(f'{{"displays": {displays}}}')
+    with pytest.raises(SocastError, match="is not the truth of a simulation"):
+        read_displays(path)
 
 
 VALUES = ["1e400", "1" + "0" * 400, "NaN", "null", "[]", "{}", "true", '"\\ud800"', "[" * DEPTH + "]" * DEPTH]
