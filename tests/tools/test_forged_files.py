@@ -5,6 +5,9 @@ import os
 from contextlib import suppress
 from threading import Thread
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from socast.core import errors, models
@@ -14,6 +17,7 @@ from socast.tools.cli import LONGEST_LINE
 from socast.tools.commands.evaluate_soc import read_displays
 from socast.tools.security.folder import _read_json
 from socast.tools.terminal.night_watch import read_condition, read_findings
+from socast.tools.terminal.table_files import read as read_table
 from socast.tools.terminal.table_files import read_source
 from tests.support.commands import refused
 from tests.support.paths import RECORDINGS
@@ -69,7 +73,6 @@ def test_forged_file_is_no_traceback_where_the_product_reads_its_own(tmp_path, r
 PLACES = {
     "a circle of links": lambda path: path.symlink_to(path.name),
     "a folder": lambda path: path.mkdir(),
-    "an endless device": lambda path: path.symlink_to("/dev/zero"),
     "a pipe without a writer": os.mkfifo,
     "absent": lambda _: None,
 }
@@ -80,6 +83,7 @@ READERS = {
     "tile.hgt": ("tables", RECORDINGS / "shift.mcap", "--out", "unused", "--elevation"),
     "tile.zip": ("tables", RECORDINGS / "shift.mcap", "--out", "unused", "--elevation"),
     "map.parquet": ("elevation", "info"),
+    "shift.mcap": ("info",),
 }
 
 
@@ -93,6 +97,12 @@ def test_what_stands_in_place_of_a_file_is_one_line(tmp_path, capsys, monkeypatc
     refused(capsys, *READERS[name], path)
 
 
+def test_endless_device_in_place_of_an_archive_is_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tile.zip").symlink_to("/dev/zero")
+    assert "it is no file" in refused(capsys, *READERS["tile.zip"], "tile.zip")
+
+
 def test_pipe_with_a_writer_is_read(tmp_path, capsys):
     path = tmp_path / "cars.toml"
     os.mkfifo(path)
@@ -100,6 +110,34 @@ def test_pipe_with_a_writer_is_read(tmp_path, capsys):
     writer.start()
     assert "nominal_capacity_kwh" in refused(capsys, *COMMANDS["cars.toml"], path)
     writer.join()
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        [pa.Table.from_arrays([pa.array([1.0]), pa.array([2.0])], names=["a", "a"])],
+        [pa.table({"a": [1.0]}), pa.table({"a": [[1.0]]})],
+        [pa.table({"a": [1.0]}), pa.table({"a": ["x"]})],
+    ],
+)
+def test_parts_of_a_table_that_contradict_each_other_are_refused(tmp_path, parts):
+    for number, part in enumerate(parts):
+        pq.write_table(part, tmp_path / f"{number}.parquet")
+    with pytest.raises(SocastError, match="no Parquet table: ") as caught:
+        read_table([tmp_path])
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_says_that_it_holds_a_billion_rows_is_refused(tmp_path):
+    path = tmp_path / "rides.parquet"
+    pq.write_table(pa.table({f"column_{i}": np.arange(1.0) for i in range(20)}), path)
+    content = path.read_bytes()
+    size = int.from_bytes(content[-8:-4], "little")
+    begin, foot = content[: -8 - size], content[-8 - size : -8]
+    forged = foot.replace(b"\x16\x02", b"\x16\x80\xa0\xb7\x87\xe9\x05")  # 1 and 10^11 as zigzag numbers
+    path.write_bytes(begin + forged + len(forged).to_bytes(4, "little") + b"PAR1")
+    with pytest.raises(SocastError, match=r"rows of 20 columns, about .* GB, above the .* GB of memory"):
+        read_table([path])
 
 
 @pytest.mark.parametrize("displays", ["3", '"x"', "[1]", '{"a": 1}', '[{"vehicle_id": 1}]', "[" * DEPTH])

@@ -12,7 +12,7 @@ from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_befor
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_days import gather_car_days
-from socast.core.csv_file import read_csv
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.models import LinearModel

@@ -4,7 +4,7 @@ from datetime import date
 from pathlib import Path
 from typing import Final
 
-from socast.core.csv_file import read_csv
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import ModelError
 

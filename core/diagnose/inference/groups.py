@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Ints
-from socast.core.csv_file import read_csv
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.errors import ModelError
 

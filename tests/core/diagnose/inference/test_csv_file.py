@@ -2,7 +2,7 @@
 
 import pytest
 
-from socast.core.csv_file import LARGEST_CSV, read_csv
+from socast.core.diagnose.inference.csv_file import LARGEST_CSV, read_csv
 from socast.core.errors import ModelError
 
 
