@@ -6,6 +6,8 @@ the value, the limit and the remedy.
 
 import errno
 import os
+import select
+import stat
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,6 +15,8 @@ from typing import Final
 
 LARGEST_INPUT: Final = 256 << 20
 """Largest file of settings, effects, a model, findings or a plan that is read. [B]"""
+LONGEST_WAIT_S: Final = 60.0
+"""Longest wait for the first byte of a pipe that is given in place of such a file. [s]"""
 
 
 class SocastError(Exception):
@@ -82,9 +86,19 @@ def read_input(path: Path, limit: int = LARGEST_INPUT) -> bytes:
 
     Units: limit [B].
     """
-    with path.open("rb") as file:
+    with open(path, "rb", opener=_open_soon) as file:
         size = os.fstat(file.fileno()).st_size  # zero for a pipe
         content = file.read(limit + 1) if size <= limit else b""
     if (size := max(size, len(content))) > limit:
         raise OSError(errno.EFBIG, f"it has {size:,} bytes or more, above the limit of {limit:,}", str(path))
     return content
+
+
+def _open_soon(path: str, flags: int) -> int:
+    """Open a file; of a pipe, wait for its first byte at most for `LONGEST_WAIT_S`."""
+    number = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+    os.set_blocking(number, True)
+    if stat.S_ISFIFO(os.fstat(number).st_mode) and not select.select([number], [], [], LONGEST_WAIT_S)[0]:
+        os.close(number)
+        raise OSError(errno.ETIMEDOUT, f"nothing came from this pipe for {LONGEST_WAIT_S:g} s", path)
+    return number

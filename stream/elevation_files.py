@@ -4,6 +4,7 @@ A learned map is a Parquet file with one row per place, sorted by `row` and `col
 the format and the distance between places.
 """
 
+import os
 from collections.abc import Sequence
 from math import degrees, radians
 from pathlib import Path
@@ -15,7 +16,7 @@ import pyarrow.parquet as pq
 
 from socast.core.cleaning.elevation_map import ElevationLayer, ElevationMap, ElevationPlaces
 from socast.core.errors import SettingsError
-from socast.core.files import replacing
+from socast.core.files import refuse_beyond_memory, replacing
 from socast.stream.elevation_tiles import read_tile
 
 SUFFIX: Final = ".parquet"
@@ -43,11 +44,11 @@ def open_elevation(files: Sequence[Path]) -> ElevationMap | None:
     if not files:
         return None
     layers: list[ElevationLayer] = []
-    known: set[Path] = set()
+    known: set[str] = set()
     for file in files:
-        if file.resolve() in known:
+        if (place := os.path.realpath(file)) in known:  # unlike `resolve`, it takes links in a circle
             raise SettingsError(f"--elevation {file} is given twice; give it once")
-        known.add(file.resolve())
+        known.add(place)
         kind = file.suffix.lower()
         if kind not in (SUFFIX, *TILES):
             raise SettingsError(
@@ -89,7 +90,9 @@ def read_places(path: Path) -> ElevationPlaces:
     if not path.is_file():
         raise SettingsError(f"there is no map of elevation {path}; give a file that `socast elevation learn` wrote")
     try:
-        table = pq.read_table(path)
+        with pq.ParquetFile(path) as file:
+            refuse_beyond_memory(path, file.metadata.num_rows, len(file.schema_arrow))
+            table = file.read()
         about = {name.decode(): value.decode() for name, value in (table.schema.metadata or {}).items()}
         if about.get("format") != FORMAT or int(about["version"]) != VERSION:
             made_as = f"{about.get('format', 'another table')}, version {about.get('version', 'unknown')}"
@@ -100,7 +103,7 @@ def read_places(path: Path) -> ElevationPlaces:
         raise _make_error(path, error.strerror or str(error)) from error
     except (pa.ArrowException, KeyError, ValueError) as error:
         raise _make_error(path, str(error)) from error
-    if not (min(steps) > 0.0 and np.isfinite(elevation).all() and (sd > 0.0).all()):
+    if not (min(steps) > 0.0 and np.isfinite(steps).all() and np.isfinite(elevation).all() and (sd > 0.0).all()):
         raise _make_error(path, "a distance or an uncertainty in it is not above 0, or an elevation is missing")
     return ElevationPlaces(steps[0], steps[1], row, column, elevation, sd, fixes)
 

@@ -3,7 +3,9 @@
 rasterio comes with the extra `elevation` and is imported when the first tile is read.
 """
 
+import errno
 import gzip
+import os
 import zipfile
 from math import radians, sqrt
 from pathlib import Path
@@ -74,6 +76,8 @@ def _make_error(path: Path, reason: str) -> SettingsError:
 
 def _read_content(path: Path) -> tuple[str, bytes]:
     """Return the name and the content of a tile, unpacked."""
+    if not path.is_file():  # a device may never end
+        raise ValueError("it is no file" if path.exists() else os.strerror(errno.ENOENT))
     kind = path.suffix.lower()
     if kind == ".gz":
         with gzip.open(path) as file:

@@ -40,6 +40,6 @@ class FileLock(Closeable):
 
     def close(self) -> None:
         """Free the lock; a second call has no effect."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        number, self._file = self._file, -1
+        if number >= 0:
+            os.close(number)

@@ -194,11 +194,18 @@ def run(
 
 @contextmanager
 def stop_on_signals() -> Iterator[Event]:
-    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, as usual."""
+    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, and later ones do nothing.
+
+    Once a signal has ended what ran, the process ends too: signals that come after do nothing, so that its exit code is
+    that of an end as asked.
+    """
     stop = Event()
+    is_interrupted = False
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set() and number == signal.SIGINT:
+        nonlocal is_interrupted
+        if stop.is_set() and number == signal.SIGINT and not is_interrupted:
+            is_interrupted = True
             signal.default_int_handler(number, frame)
         stop.set()
 
@@ -206,18 +213,15 @@ def stop_on_signals() -> Iterator[Event]:
     try:
         yield stop
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        is_interrupted = True
+        if not stop.is_set():
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
-@contextmanager
-def act_on_hangup(act: Callable[[], None]) -> Iterator[None]:
-    """Call a function at SIGHUP, in the thread of the loop."""
-    before = signal.signal(signal.SIGHUP, lambda *_: act())
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGHUP, before)
+def act_on_hangup(act: Callable[[], None]) -> None:
+    """Call a function at SIGHUP, in the thread of the loop, for as long as the process lives."""
+    signal.signal(signal.SIGHUP, lambda *_: act())
 
 
 def _make_keeper(source: Source, recorder: Recorder | None, tally: Tally) -> Callable[[Sequence[Message]], None]:

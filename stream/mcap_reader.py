@@ -116,6 +116,8 @@ class McapSource:
         self._parts: list[Channels] = []
         self._read_bytes = self._expanded = 0
         self._count: int | None = None
+        if self.path.is_fifo():  # it would wait for a writer
+            raise RecordingError(f"{self.path} is a pipe, and a recording is read from several places: give a file")
         try:
             with self.path.open("rb") as file:
                 self._check(file)

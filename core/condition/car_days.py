@@ -7,7 +7,6 @@ Cars of a fleet share the weather of a date and whatever the model lacks of it. 
 cars, the mean of the others is taken off each of them, so that the series of a car is its deviation from its siblings.
 """
 
-from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from socast.core.condition.level_model import Series
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.core.evaluate.ride_filter import NEEDED_COLUMNS
-from socast.core.fit.ride_blocks import get_numbers
+from socast.core.fit.ride_blocks import get_numbers, parse_ride_date
 from socast.core.formatting import format_count
 from socast.core.models import LinearModel
 from socast.core.models.features import VEHICLE_SCOPE
@@ -100,7 +99,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
     rides = compared.rides
     car, cars = pd.factorize(rides["vehicle_id"].astype(str), sort=True)
     at, days = pd.factorize(rides["date"].astype(str), sort=True)
-    dates = np.array([date.fromisoformat(each).toordinal() for each in days])
+    dates = np.array([parse_ride_date(each).toordinal() for each in days])
     if len(dates) < LEAST_DATES:
         raise ModelError(
             f"the rides are of {format_count(len(dates), 'date')}, and a condition takes {LEAST_DATES}: give more days"

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.deviation_words import MONTH, word_deviation
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
-from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.ride_blocks import get_names, get_numbers, parse_ride_date
 from socast.core.models.features import VEHICLE_SCOPE
 from socast.core.wire.keys import identity
 from socast.core.wire.messages import Cause, Finding, Message, encode
@@ -53,7 +53,7 @@ def measure_fleet_use(rides: pd.DataFrame) -> FleetUse:
     """Return what a fleet used."""
     energy, distance = get_numbers(rides, "energy_kwh"), get_numbers(rides, "distance_km")
     known = np.isfinite(energy) & np.isfinite(distance)
-    days = sorted(date.fromisoformat(day) for day in set(get_names(rides, "date")) if day)
+    days = sorted(parse_ride_date(day) for day in set(get_names(rides, "date")) if day)
     months = ((days[-1] - days[0]).days + 1) / MONTH
     return FleetUse(float(energy[known].sum()), float(distance[known].sum()), months, days[-1])
 

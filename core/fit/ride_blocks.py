@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import date
 from math import inf
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -195,7 +196,7 @@ def _read_batches(
 ) -> Iterator[pa.RecordBatch]:
     """Yield rows of the files of a table in batches, with these columns and the others present, or with all."""
     at = 0
-    with _explain_errors(path):
+    with explain_table_errors(path):
         for part in list_parts(path):
             with pq.ParquetFile(part, pre_buffer=False) as file:
                 names = None if columns is None else _present(columns, file.schema_arrow.names, str(part), also)
@@ -218,21 +219,21 @@ def _read_batches(
 
 def _count_rows(path: Path) -> int:
     """Return the number of rows of a table."""
-    with _explain_errors(path):
+    with explain_table_errors(path):
         return sum(pq.read_metadata(part).num_rows for part in list_parts(path))
 
 
 @contextmanager
-def _explain_errors(path: Path) -> Iterator[None]:
+def explain_table_errors(path: Path) -> Iterator[None]:
     """Raise ModelError where a table cannot be read."""
     try:
         yield
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())
-        raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error
+        raise ModelError(f"{path}: cannot read a table: {reason}; name one that `socast tables` made") from error
     except pa.ArrowException as error:
         words = " ".join(str(error).split())
-        raise ModelError(f"{path}: no ride table: {words}; name a file that `socast tables` made") from error
+        raise ModelError(f"{path}: no Parquet table: {words}; name a file that `socast tables` made") from error
 
 
 def _present(
@@ -325,6 +326,16 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
 def get_numbers_if_present(block: pd.DataFrame, name: str, absent: float = np.nan) -> Floats:
     """Return a column as float, filled with `absent` where the table does not have it."""
     return get_numbers(block, name) if name in block else np.full(len(block), absent)
+
+
+def parse_ride_date(text: str) -> date:
+    """Return the date of a ride."""
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise ModelError(
+            f"column 'date' of the ride table holds {text!r}, no date such as 2018-11-20: make the tables again"
+        ) from error
 
 
 def get_names(block: pd.DataFrame, column: str) -> list[str]:

@@ -1,12 +1,11 @@
 """Read cars of one's own from their data sheets, with priors for the figures that are not known."""
 
-import tomllib
 from collections.abc import Mapping
 from statistics import median
 from typing import Any, Final
 
 from socast.core.errors import CatalogueError
-from socast.core.files import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML, parse_toml
 from socast.core.vehicles.catalogue import BOUNDS, VehicleModel, load_catalogue, read_entry
 
 REQUIRED: Final = ("mass_kg", "nominal_capacity_kwh")
@@ -33,7 +32,7 @@ def read_data_sheets(text: str, origin: str) -> Mapping[str, VehicleModel]:
     'estimated: median of the vehicle catalogue'
     """
     try:
-        tables = tomllib.loads(text)
+        tables = parse_toml(text)
     except UNREADABLE_TOML as error:
         raise CatalogueError(f"{origin} is not TOML: {error}; write [my-car] and its figures below") from error
     if not tables:

@@ -2,6 +2,9 @@
 
 import os
 import resource
+import signal
+import subprocess
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,7 +15,7 @@ import pytest
 from socast.core import models
 from socast.core.cleaning.elevation_map import ElevationPlaces
 from socast.core.errors import SocastError
-from socast.core.files import replacing, write_whole
+from socast.core.files import refuse_beyond_memory, replacing, write_whole
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import write_places
 from socast.stream.mcap_writer import replace_recording
@@ -112,6 +115,42 @@ def test_content_is_on_disk_before_the_name_and_the_name_before_the_end(tmp_path
     monkeypatch.setattr("pathlib.Path.replace", lambda *both: (done.append("rename"), replace(*both))[1])
     write_whole(tmp_path / "a", b"new")
     assert [done[0].endswith(".new"), *done[1:]] == [True, "rename", str(tmp_path)]
+
+
+def test_what_killed_processes_left_is_removed_by_the_next_writer_of_the_same_file(tmp_path):
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    left, other, running = (
+        tmp_path / name for name in (f".a.{ended.pid}.new", f".b.{ended.pid}.new", f".a.{os.getppid()}.new")
+    )
+    for path in (left, other, running):
+        path.write_bytes(b"half")
+    write_whole(tmp_path / "a", b"new")
+    assert {path.name for path in tmp_path.iterdir()} == {"a", other.name, running.name}
+
+
+def test_writer_that_is_killed_amid_writing_leaves_the_old_file(tmp_path):
+    path = tmp_path / "model.json"
+    path.write_bytes(OLD)
+    script = f"""
+import os, signal
+from pathlib import Path
+from socast.core.files import replacing
+with replacing(Path({str(path)!r})) as fresh:
+    fresh.write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -signal.SIGKILL
+    assert path.read_bytes() == OLD
+    assert len(list(tmp_path.iterdir())) == 2
+    write_whole(path, b"new")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_table_beyond_the_memory_is_refused_by_what_its_file_says(tmp_path):
+    refuse_beyond_memory(tmp_path / "rides.parquet", 1_000_000, 100)
+    with pytest.raises(SocastError, match="1,000,000,000,000 rows of 100 columns, about 800,000 GB, above the"):
+        refuse_beyond_memory(tmp_path / "rides.parquet", 10**12, 100)
 
 
 def test_exception_of_the_writer_leaves_the_old_file(tmp_path):

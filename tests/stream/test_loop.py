@@ -245,9 +245,20 @@ def test_log_line_holds_keys_and_values():
     assert int(pairs["messages"]) == len(shift(50))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+ASKING = signal.SIGINT, signal.SIGTERM
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    """Return to the handlers of before: signals that ended a command are ignored for the rest of its process."""
+    before = [signal.getsignal(number) for number in ASKING]
+    yield
+    for number, handler in zip(ASKING, before, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", ASKING)
 def test_signal_ends_source_and_loop_finishes_normally(number):
-    before = signal.getsignal(number)
     sink = MemorySink()
     with stop_on_signals() as stop:
 
@@ -258,7 +269,14 @@ def test_signal_ends_source_and_loop_finishes_normally(number):
         tally = run(stop_source(MemorySource(shift(20), 5), stop), WorkingPipeline(), [sink], watch=watch)
     assert tally.received == 10
     assert sink.messages[-1].payload == b"the last"
-    assert signal.getsignal(number) is before
+    os.kill(os.getpid(), number)  # one that comes late changes nothing
+
+
+def test_handlers_return_where_nothing_was_asked():
+    before = [signal.getsignal(number) for number in ASKING]
+    with stop_on_signals():
+        pass
+    assert [signal.getsignal(number) for number in ASKING] == before
 
 
 class WorkingPipeline(BreakingPipeline):
@@ -288,6 +306,7 @@ def test_second_interrupt_raises_immediately():
         assert stop.is_set()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)  # what the second one set off is not interrupted
 
 
 def test_garbage_collector_visits_no_object_from_before_the_loop():

@@ -8,6 +8,7 @@ import pytest
 from socast.core.errors import SettingsError
 from socast.tools.simulator.car_files import CarWriter
 from tests.support.commands import done, refused
+from tests.support.paths import RECORDINGS
 
 SIMULATE = "simulate", "--vehicles", 1, "--shift-hours", 0.25, "-o"
 
@@ -45,3 +46,10 @@ def test_shortage_is_one_line_of_bounded_length(monkeypatch, capsys, error, word
     message = refused(capsys, "info", "a.mcap")
     assert words in message
     assert len(message) < 2100
+
+
+@pytest.mark.parametrize("command", [SIMULATE, ("replay", RECORDINGS / "shift.mcap", "-o")])
+def test_output_that_is_a_circle_of_links_or_in_no_folder_is_refused_before_any_work(tmp_path, capsys, command):
+    (tmp_path / "circle.mcap").symlink_to("circle.mcap")
+    assert "circle.mcap cannot be written: File exists" in refused(capsys, *command, tmp_path / "circle.mcap")
+    assert "a.mcap cannot be written: No such file" in refused(capsys, *command, tmp_path / "absent" / "a.mcap")

@@ -12,6 +12,7 @@ from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_befor
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_days import gather_car_days, list_columns, select_columns
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.models import LinearModel
@@ -142,10 +143,7 @@ def read_campaign(
 def read_spans(file: Path | TextIO, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
     """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign."""
     path = file if isinstance(file, Path) else "the text of days on"
-    try:
-        table = pd.read_csv(file, dtype=str, keep_default_na=False).fillna("")  # a line may end before the last column
-    except (OSError, ValueError) as error:
-        raise SettingsError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
+    table = read_csv(file, str(path))
     columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)
     if columns is None or (VEHICLE not in table and not cars):
         raise SettingsError(

@@ -1,18 +1,20 @@
 """`socast evaluate-soc`: evaluate forecasts of the state of charge at the shift's end against the outcome."""
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import pandas as pd
 import typer
+from msgspec.structs import asdict
 
 from socast.core import models
-from socast.core.errors import SettingsError
+from socast.core.errors import SettingsError, read_input
 from socast.core.evaluate.soc.recorders import RIDE_COLUMNS, LegRecorder, PlanRecorder, QueryTimes, match_legs_to_rides
 from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.files import UNREADABLE
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.core.wire.messages import Message
@@ -87,15 +89,31 @@ class SocForecasts:
         return evaluate_soc(*self.tables(), displays)
 
 
+class _Display(msgspec.Struct):
+    """Hold what the healthy display of a shift shows."""
+
+    vehicle_id: str
+    begin_s: float
+    step_s: Annotated[float, msgspec.Meta(gt=0.0)]
+    shown_pct: list[float]
+    fault: str | None = None
+
+
+class _Truth(msgspec.Struct):
+    """Hold what is read of the truth of a simulation."""
+
+    displays: list[_Display] = []
+
+
 def read_displays(path: Path) -> pd.DataFrame:
     """Return what healthy displays show, from the truth of a simulation with conditions."""
     try:
-        displays = json.loads(path.read_text(encoding="utf-8")).get("displays")
-    except (OSError, ValueError, AttributeError, RecursionError) as error:
-        raise SettingsError(f"{path} is not the truth of a simulation; give FILE.truth.json") from error
+        displays = msgspec.json.decode(read_input(path), type=_Truth).displays
+    except (OSError, *UNREADABLE) as error:
+        raise SettingsError(f"{path} is not the truth of a simulation ({error}); give FILE.truth.json") from error
     if not displays:
         raise SettingsError(f"{path} holds no displays; simulate with --fleet or --conditions")
-    return pd.DataFrame(displays)
+    return pd.DataFrame(map(asdict, displays))
 
 
 @insert_cleaning_options

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from socast.core.errors import RecordingError, SettingsError
+from socast.core.errors import SettingsError
 from socast.core.formatting import format_count
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.simulation import write_recording
@@ -36,7 +36,7 @@ from socast.tools.simulator.settings import (
 )
 from socast.tools.simulator.truth import Truth
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import print_plain
+from socast.tools.terminal.output import check_outputs, print_plain
 
 FIRST_DAY = "2018-01-15"
 FLEET, TROUBLE = "Fleet", "Physics and faults"
@@ -203,8 +203,6 @@ def simulate(
 def write_simulation(simulation: Simulation, out: Path, place: ClusterPlace | None = None) -> Truth:
     """Write the recording of a simulation, and its truth beside it."""
     fleet = prepare_fleet(simulation)
-    folder = out.resolve().parent
-    if not folder.is_dir():
-        raise RecordingError(f"{out} cannot be written: {folder} is no folder; choose another place")
-    with open_workers(place, folder, "simulation") as workers:
+    check_outputs((), out)
+    with open_workers(place, out.resolve().parent, "simulation") as workers:
         return write_recording(fleet, out, workers)

@@ -201,7 +201,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     monitor.begin("connecting to Zenoh")
     stop = ending.enter_context(stop_on_signals())
     rotate = recorder.request_rotation if recorder else lambda: None
-    ending.enter_context(act_on_hangup(stop.set if sys.stdout.isatty() else rotate))  # without a terminal, log rotation
+    act_on_hangup(stop.set if sys.stdout.isatty() else rotate)  # without a terminal, log rotation
     node = ending.enter_context(Node(connection))
     role = ending.enter_context(Standby(node)) if options.standby else None
     overlap = ending.enter_context(OverlapWatch(node, standby=options.standby))

@@ -221,20 +221,20 @@ def select_model_files(given: Iterable[str]) -> list[Path]:
 
 def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
     """Refuse outputs that cannot be written or would overwrite an input, before the command does any work."""
-    read, written = {path.resolve() for path in inputs}, set[Path]()
+    read, written = set(map(os.path.realpath, inputs)), set[str]()
     for path in outputs:
         if path is None or path == STANDARD_OUTPUT:
             continue
-        if path.resolve() in read:
+        if (place := os.path.realpath(path)) in read:  # unlike `resolve`, it takes links in a circle
             raise SettingsError(f"{path} is read and would be overwritten; name another file to write")
-        if path.resolve() in written:
+        if place in written:
             raise SettingsError(f"{path} is to be written twice; name another file for one of the two")
-        written.add(path.resolve())
+        written.add(place)
         reason = "Is a directory" if path.is_dir() else "" if path.parent.is_dir() else "No such file or directory"
         if reason:
             raise SettingsError(f"{path} cannot be written: {reason}; name a file in an existing folder")
         try:
-            _try_to_write(path.resolve())
+            _try_to_write(Path(place))
         except OSError as error:
             raise SettingsError(
                 f"{path} cannot be written: {error.strerror}; name a file that you may write, or another folder"

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 import typer
 
 from socast.core.errors import SettingsError, read_input
-from socast.core.files import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML, parse_toml
 
 _PLACES: Final = "socast.settings_places"
 """Key under which the context of a command keeps where each setting stands."""
@@ -65,7 +65,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
         raise SettingsError(f"{file} cannot be read: {error.strerror}; give an existing file with {_OWN}") from error
     try:
         text = content.decode()
-        settings = tomllib.loads(text)
+        settings = parse_toml(text)
     except UNREADABLE_TOML as error:
         raise SettingsError(explain_toml(file, content, error)) from error
     options = list_settings(command)

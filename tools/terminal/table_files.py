@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from socast.core.errors import ModelError, SettingsError, SocastError
-from socast.core.files import UNREADABLE, replacing
-from socast.core.fit.ride_blocks import list_parts
+from socast.core.files import UNREADABLE, refuse_beyond_memory, replacing
+from socast.core.fit.ride_blocks import explain_table_errors, list_parts
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
 from socast.stream.mcap_format import RECORDING
@@ -70,28 +70,21 @@ def _read(table: Path, columns: Sequence[str] | None, present: Sequence[str] | N
     parts = [_read_file(file, columns, present) for file in list_parts(table)]
     if not parts:
         raise ModelError(f"{table} holds no Parquet file; name a table that `socast tables` made")
-    whole: pd.DataFrame = pa.concat_tables(parts, promote_options="permissive").to_pandas()
+    with explain_table_errors(table):
+        whole: pd.DataFrame = pa.concat_tables(parts, promote_options="permissive").to_pandas()
     return whole
 
 
 def _read_file(file: Path, columns: Sequence[str] | None, present: Sequence[str] | None) -> pa.Table:
     """Read the columns of a Parquet file."""
-    try:
-        with pq.ParquetFile(file) as opened:
-            there = set(opened.schema_arrow.names)
-            if missing := [name for name in columns or () if name not in there]:
-                raise ModelError(
-                    f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
-                )
-            if present is not None:
-                columns = [name for name in present if name in there]
-            return opened.read(columns=None if columns is None else list(columns))
-    except OSError as error:
-        reason = error.strerror or " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read a table: {reason}; name a file that `socast tables` made") from error
-    except pa.ArrowException as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(f"{file}: no Parquet table: {reason}; name a file that `socast tables` made") from error
+    with explain_table_errors(file), pq.ParquetFile(file) as opened:
+        there = opened.schema_arrow.names
+        if missing := [name for name in columns or () if name not in set(there)]:
+            raise ModelError(f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`")
+        if present is not None:
+            columns = [name for name in present if name in set(there)]
+        refuse_beyond_memory(file, opened.metadata.num_rows, len(there if columns is None else columns))
+        return opened.read(columns=None if columns is None else list(columns))
 
 
 class ParquetTable:

@@ -119,6 +119,8 @@ class _Server(uvicorn.Server):
         finally:
             for number in numbers:
                 loop.remove_signal_handler(number)
+                if self.should_exit:  # the process ends: a signal that comes late must not change its exit code
+                    signal.signal(number, lambda *_: None)
 
     def _stop(self) -> None:
         """Stop; at the second signal, do not wait for open connections."""

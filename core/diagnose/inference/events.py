@@ -4,8 +4,7 @@ from datetime import date
 from pathlib import Path
 from typing import Final
 
-import pandas as pd
-
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import ModelError
 
@@ -17,13 +16,7 @@ WHAT: Final = "what"
 
 def read_events(path: Path) -> list[KnownEvent]:
     """Return the events of a CSV file: `date`, the first UTC date after the event, `vehicle_id` and `what` happened."""
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(
-            f"{path} cannot be read as CSV ({reason}): give a file with a header line, and quote words with a comma"
-        ) from error
+    table = read_csv(path, remedy="give a file with a header line, and quote words with a comma")
     if DATE not in table:
         raise ModelError(f"{path} has no column {DATE!r}: its header line must be {DATE},{VEHICLE},{WHAT}")
     columns = (table[name].tolist() if name in table else [""] * len(table) for name in (DATE, VEHICLE, WHAT))

@@ -9,6 +9,7 @@ import pandas as pd
 
 from socast.core.batch import Ints
 from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.errors import ModelError
 
@@ -23,13 +24,10 @@ Group = tuple[str, Ints]
 
 def read_groups(path: Path) -> dict[str, str]:
     """Return the group of each vehicle of a CSV file with the columns `vehicle_id` and `group`."""
-    try:
-        table = pd.read_csv(path, dtype=str)
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{path} cannot be read as CSV ({error}): give a file with a header line") from error
+    table = read_csv(path)
     if missing := [name for name in COLUMNS if name not in table]:
         raise ModelError(f"{path} has no column {missing[0]!r}: its header line must be {','.join(COLUMNS)}")
-    table = table.dropna(subset=list(COLUMNS))
+    table = table[(table["vehicle_id"] != "") & (table["group"] != "")]
     if (twice := table["vehicle_id"].duplicated()).any():
         raise ModelError(f"{path} names vehicle {table.loc[twice, 'vehicle_id'].iloc[0]} twice: keep one line of each")
     return dict(zip(table["vehicle_id"], table["group"], strict=True))

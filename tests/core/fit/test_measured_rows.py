@@ -101,6 +101,12 @@ def test_tables_of_different_rides_are_refused(tables):
         join_tables(pd.concat([rides, rides.iloc[:1]]), windows)
 
 
+def test_windows_without_any_ride_are_refused(tables):
+    rides, windows = tables
+    with pytest.raises(ModelError, match="no window belongs to any of the rides"):
+        join_tables(rides.iloc[:0], windows)
+
+
 def test_joining_changes_neither_table(tables):
     before = [table.copy(deep=True) for table in tables]
     join_tables(*tables)

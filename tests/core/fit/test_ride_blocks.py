@@ -16,6 +16,7 @@ from socast.core.fit.ride_blocks import (
     ThinnedRides,
     convert_to_arrays,
     get_names,
+    parse_ride_date,
     select_trainable,
 )
 from tests.support.planted_rides import noisy, physical_energy, rides
@@ -52,6 +53,13 @@ def test_arrays_hold_numbers_as_float_and_unknown_ones_as_nan():
     np.testing.assert_array_equal(arrays["summer"], [0.0, 1.0])
     np.testing.assert_array_equal(arrays["lost_m"], [1.5, np.nan])
     assert {array.dtype for array in arrays.values()} == {np.dtype(np.float64)}
+
+
+@pytest.mark.parametrize("text", ["0000-99-99\0", "", "nan", "2018-11-20T00:00"])
+def test_date_that_is_none_is_refused(text):
+    assert parse_ride_date("2018-11-20") == date(2018, 11, 20)
+    with pytest.raises(ModelError, match=r"column 'date' of the ride table holds .*, no date such as 2018-11-20"):
+        parse_ride_date(text)
 
 
 def test_text_in_a_column_of_numbers_is_refused():
@@ -118,5 +126,5 @@ def test_thinned_rides_pass_all_rides_on_and_keep_every_kth_across_files(most, s
 
 def test_thinned_rides_of_an_unreadable_file_are_refused(tmp_path):
     (tmp_path / "rides.parquet").write_text("no table")
-    with pytest.raises(ModelError, match=r"rides\.parquet: no ride table"):
+    with pytest.raises(ModelError, match=r"rides\.parquet: no Parquet table"):
         ThinnedRides(RideParquet((tmp_path / "rides.parquet",)), 10, [])

@@ -65,7 +65,7 @@ def test_merge_holds_a_part_of_the_messages_at_a_time(tmp_path, monkeypatch):
 
 def test_folder_that_does_not_exist_is_refused_in_one_line(tmp_path, capsys):
     message = refused(capsys, "simulate", "--out", tmp_path / "absent" / "a.mcap", "--vehicles", 1)
-    assert "is no folder; choose another place" in message
+    assert "cannot be written: No such file or directory; name a file in an existing folder" in message
 
 
 def test_command_leaves_nothing_but_recording_and_truth(tmp_path):

@@ -278,7 +278,7 @@ def test_truth_without_displays_is_refused(tmp_path):
         path.write_text(text)
         with pytest.raises(SettingsError, match=expected):
             command.read_displays(path)
-    path.write_text('{"displays": [{"vehicle_id": "a", "begin_s": 1.0}]}')
+    path.write_text('{"displays": [{"vehicle_id": "a", "begin_s": 1.0, "step_s": 60.0, "shown_pct": [50.0]}]}')
     assert command.read_displays(path)["vehicle_id"].tolist() == ["a"]
 
 

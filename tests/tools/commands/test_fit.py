@@ -190,7 +190,7 @@ def test_missing_table_or_unknown_recipe_is_refused_in_one_line(folder, table, t
     assert "neither a recording (*.mcap) nor" in refused(capsys, "fit", other, "--recipe", "hybrid", "-o", out)
     (tmp_path / "text.parquet").write_text("distance_km\n")
     message = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
-    assert "text.parquet: no ride table" in message
+    assert "text.parquet: no Parquet table" in message
     lacking = written(table.drop(columns=["winter", "summer"]), tmp_path / "lacking.parquet")
     assert "column 'winter' is missing" in refused(capsys, "fit", lacking, "--recipe", "hybrid", "-o", out)
     message = refused(capsys, "fit", folder, "--recipe", "hybrid", "-o", folder / "rides.parquet")

@@ -3,7 +3,6 @@
 A mistake in the file is one line with the file, the line number, the value, what it must be, and the remedy.
 """
 
-import tomllib
 from collections.abc import Mapping
 from datetime import datetime, timedelta, timezone, tzinfo
 from difflib import get_close_matches
@@ -14,7 +13,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
-from socast.core.files import UNREADABLE_TOML
+from socast.core.files import UNREADABLE_TOML, parse_toml
 from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
@@ -199,7 +198,7 @@ def parse_map(content: bytes, path: Path) -> ColumnMap:
     """Return the checked map of a text."""
     try:
         text = content.decode("utf-8-sig")
-        tables = tomllib.loads(text)
+        tables = parse_toml(text)
     except UNREADABLE_TOML as error:
         raise ImportFileError(explain_toml(path, content, error)) from error
     return _MapReader(path, text, tables).read()
