@@ -117,7 +117,9 @@ def to_json_values(value: Any) -> Any:
         return msgspec.to_builtins(value)
     if isinstance(value, Mapping):
         return {str(key): to_json_values(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
         return list(value) if _is_plain(value) else [to_json_values(item) for item in value]
     return _make_plain(value)
 

@@ -221,9 +221,9 @@ def _to_percent(log: float) -> float:
     return 100.0 * float(np.expm1(log))
 
 
-def _to_percents(logs: Floats) -> list[float]:
+def _to_percents(logs: Floats) -> list[float | None]:
     """Return the changes that logarithms of factors mean. [%]"""
-    return (100.0 * np.expm1(logs)).tolist()
+    return list((100.0 * np.expm1(logs)).tolist())
 
 
 def _write_date(ordinal: float) -> str:

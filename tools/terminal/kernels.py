@@ -144,8 +144,8 @@ def _run_independent_kernels() -> None:
     _record_and_read(_make_messages())
     series = Series(np.arange(2), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2)))
     smooth_levels(*estimate_wandering(series, CONSUMPTION)[::-1])
-    two, shock = np.ones((3, 2)), (np.zeros(1, np.int64), *np.ones((3, 1)))
-    mix_shocks(two[0] > 0.0, *two, CONSUMPTION.compute_variances(), *shock)
+    one = np.ones(1)
+    mix_shocks(one > 0.0, one, one, one, CONSUMPTION.compute_variances(), np.zeros(1, np.int64), one, one, one)
 
 
 def _make_messages() -> list[Message]:
