@@ -176,7 +176,9 @@ def list_missing(inference: Inference) -> list[MissingEffect]:
 def list_scoped(inference: Inference, *, dated: bool = True) -> list[MissingEffect]:
     """Return what was found within scopes: in single cars, in groups, or, where the dates are known, since a date."""
     return [
-        MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
+        MissingEffect(
+            one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes, one.evidence
+        )
         for one in inference.findings
         if one.is_likely and one.family.is_scoped and (dated or one.when.since is None)
     ]
@@ -205,8 +207,8 @@ def select_missing(
 ) -> Selection:
     """Return the missing effects in the order in which to add them.
 
-    Those whose gain beside the others is certain come first. In each of both groups those that physics expects in every
-    car come last, and the effect with the most evidence comes next.
+    One effect is chosen at each step: first those whose gain beside the effects already chosen is certain; among these,
+    those that physics does not expect in every car; then the one with the largest Bayes factor against none.
 
     Parameters
     ----------

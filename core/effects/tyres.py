@@ -19,7 +19,7 @@ _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
     low=2.5e-5,
     high=3.75e-4,
     source="UN Regulation 117, annex 6, 6.2, and ISO 28580:2018: 0.8 % a kelvin of a car's tyres about 25 °C; range: "
-    "0.2 to 3 % of 0.010 at the wheels, 1.25 times that at the battery",
+    "0.2 to 3 % of 0.010 at the wheels, times 1.25, the energy at the battery over that at the wheels",
     parameters={"reference": Parameter(293.15, "K", 268.15, 303.15, grid=(278.15, 283.15, 288.15, 293.15, 298.15))},
     confused_with=("air_density", "battery_resistance", "cabin_heating", "cold_regen_limit", "snow"),
     shown_by="drives at one speed over a year; slow ones, where air does little, distinguish it from denser air",

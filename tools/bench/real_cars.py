@@ -306,7 +306,8 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
     ]
     note = (
         f"Known effects of {sizes} of the energy, put into the recordings by `socast spikein --score`, in all forms of "
-        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20. Visible by a formula of the "
+        "the simulator. Visible: the likelihood ratio of the true energies exceeds 20. Plausible: an effect of the "
+        "library explains them with a coefficient in its range. Visible by a formula of the "
         "library: so does that of the formula that resembles the true energies most; it may not be the formula that "
         f"was put in. Rankings have at most {LONGEST} effects. Other methods receive the same windows, without the "
         "terms of the model. "
@@ -314,14 +315,15 @@ def list_spikes(cars: Sequence[Car]) -> tuple[list[str], dict[str, str]]:
     )
     size_heads = [
         "car",
-        "size over truth, median",
-        "95 % interval holds the truth",
-        "of the way to the error with the true energies, median",
+        "estimated over true size, median",
+        "95 % interval of it holds 1",
+        "share of the possible fall of the error, median",
     ]
     size_note = (
-        "Sizes of the visible effects that are named. Size: what the named effects find with the true energies less "
-        "what they find without, over what they can find of them. Of the way: the fall of the error on held-out days "
-        "by the named effect, over that by the true energies."
+        "Sizes of the visible effects that are named. Estimated over true size: fitted energy with the added effect "
+        "less that without it, over the part of the added energy that the formula can represent; 1 is exact. Share of "
+        "the possible fall: fall of the error on held-out days by the named effect, over the fall by the true "
+        "energies; 1 is all."
     )
     values = {
         "named": (

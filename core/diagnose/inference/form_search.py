@@ -37,7 +37,7 @@ LEAST_DATES: Final = 6.0
 ALIKE: Final = 2
 """Largest number of kept forms with the same carrier and variables."""
 SAME: Final = 0.9
-"""Correlation off the base from which a form is an effect of the library on the same load, in other words. [1]"""
+"""Least absolute correlation, the base projected out, from which a form counts as an effect on its load. [1]"""
 EXTENDED: Final = (6, 3)
 """Numbers of forms that are tried with a second and with a third variable."""
 
@@ -50,7 +50,13 @@ class _Scores(NamedTuple):
 
 
 class _Library:
-    """Tell which forms are effects of the library in other words: on one load, and nearly equal off the base."""
+    """Tell which forms count as effects of the library that may be missing.
+
+    Parameters
+    ----------
+    inside : collection of str
+        Effects that the model has, which do not count.
+    """
 
     def __init__(self, model: WindowModel, inside: Collection[str]) -> None:
         columns = model.columns
@@ -61,14 +67,14 @@ class _Library:
         self._left = self._project(columns.effects[:, at])
 
     def _project(self, energy: Floats) -> Floats:
-        """Return the directions of energies off the base, of length one."""
+        """Return energies after the base is projected out, each of unit length; (n, k) to (n, k). [kWh to 1]"""
         scaled = self._root * energy
         left = scaled - self._basis @ (self._basis.T @ scaled)
         length = np.sqrt((left**2).sum(axis=0))
         return np.asarray(left / np.maximum(length, 1e-6 * np.sqrt((scaled**2).sum(axis=0)) + 1e-300))
 
     def has(self, load: str, energy: Floats) -> bool:
-        """Return whether a form on a load is an effect of the library."""
+        """Return whether a form of the energy, on the load of that name, counts as an effect of the library. [kWh]"""
         at = [place for place, other in enumerate(self._loads) if other == load]
         own = self._project(energy[:, np.newaxis])[:, 0]
         return bool(np.abs(self._left[:, at].T @ own).max(initial=0.0) >= SAME)

@@ -1,4 +1,4 @@
-"""Name the load on which an effect of the library acts."""
+"""Name the load of the forms outside the library that is most like that of an effect of the library."""
 
 from types import MappingProxyType
 from typing import Final
@@ -16,7 +16,7 @@ LOADS: Final = MappingProxyType(
         "speed": "drag",
     }
 )
-"""Signals that effects read -> load on which the effect acts, the most specific first; without one, a power."""
+"""Signals that effects read -> load of the forms; the first that an effect reads decides; without one, a power."""
 
 
 def find_load(effect: str) -> str:

@@ -118,7 +118,7 @@ BASELINES: Final[Mapping[str, Callable[[BaseProjection, Candidates], list[str]]]
     {"stlsq": rank_by_stlsq, "pysindy": rank_by_pysindy, "boosted trees": rank_by_trees}
 )
 """Function that ranks the effects by each method."""
-RANKED: Final = "diagnose, ranked"
+RANKED: Final = "diagnosis, ranked"
 """Name of the ranking by diagnosis itself, which goes on below the probability from which it names effects."""
 DESCRIPTIONS: Final = MappingProxyType(
     {
