@@ -19,7 +19,7 @@ from socast.core.condition.car_days import (
     CarDays,
     forget_cars,
     gather_car_days,
-    select_columns,
+    select_car_day_columns,
     subtract_siblings,
 )
 from socast.core.condition.known_events import place_events
@@ -68,7 +68,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
     ModelError
         If there are no rides to compare, or fewer than six dates.
     """
-    compared = select_rides(select_columns(rides, model), {model.name: forget_cars(model)})
+    compared = select_rides(select_car_day_columns(rides, model), {model.name: forget_cars(model)})
     days = gather_car_days(compared, model.name)
     consumption = follow_beside_siblings(days.consumption, days.models)
     capacity, cold_loss = _subtract_cold(days)

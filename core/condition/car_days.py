@@ -39,14 +39,14 @@ MILD_C: Final = 10.0
 """Outside temperature below which a battery holds less. [°C]"""
 
 
-def list_columns(model: LinearModel) -> list[str]:
+def list_car_day_columns(model: LinearModel) -> list[str]:
     """Return the columns of a ride table from which car-days are made; those of the capacity may be absent."""
     return list(dict.fromkeys((*NEEDED_COLUMNS, *model.needs, *CAPACITY_COLUMNS)))
 
 
-def select_columns(rides: pd.DataFrame, model: LinearModel) -> pd.DataFrame:
+def select_car_day_columns(rides: pd.DataFrame, model: LinearModel) -> pd.DataFrame:
     """Return the columns of rides from which car-days are made, so that copies of them are small."""
-    return rides[[name for name in list_columns(model) if name in rides]]
+    return rides[[name for name in list_car_day_columns(model) if name in rides]]
 
 
 class CarDays(NamedTuple):

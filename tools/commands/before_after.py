@@ -11,7 +11,7 @@ from socast.core import models
 from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
-from socast.core.condition.car_days import gather_car_days, list_columns, select_columns
+from socast.core.condition.car_days import gather_car_days, list_car_day_columns, select_car_day_columns
 from socast.core.diagnose.inference.csv_file import read_csv
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import select_rides
@@ -89,14 +89,14 @@ def compare(
     source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
     campaign = read_campaign(vehicles, at, until, days, toggle, what, plan)
     loaded = models.load(model)
-    result = evaluate_campaign(source.read_rides(loaded.effects, list_columns(loaded)), loaded, campaign)
+    result = evaluate_campaign(source.read_rides(loaded.effects, list_car_day_columns(loaded)), loaded, campaign)
     write_json(json_file, "before-after", result)
     show_report("before_after", result, html_file, json_file)
 
 
 def evaluate_campaign(rides: pd.DataFrame, model: LinearModel, campaign: Campaign) -> BeforeAfter:
     """Return what a campaign changed; one without a date and days on is planned for the day after the last rides."""
-    compared = select_rides(select_columns(rides, model), {model.name: model})
+    compared = select_rides(select_car_day_columns(rides, model), {model.name: model})
     car_days = gather_car_days(compared, model.name, LEAST_CAMPAIGN_KWH)
     if campaign.at is None and not campaign.spans:
         campaign = campaign._replace(at=int(car_days.consumption.dates[-1]) + 1)

@@ -6,7 +6,7 @@ import typer
 
 from socast.core import models
 from socast.core.condition.car_condition import assess_condition
-from socast.core.condition.car_days import list_columns
+from socast.core.condition.car_days import list_car_day_columns
 from socast.core.diagnose.inference.events import read_events
 from socast.tools.terminal.output import EventsFile, HtmlFile, JsonFile, write_json
 from socast.tools.terminal.report_output import show_report
@@ -38,6 +38,6 @@ def show_condition(
     source.check(json_file, html_file, models=[model])
     known = read_events(events) if events else []
     chosen = models.load(model)
-    result = assess_condition(source.read_rides(chosen.effects, list_columns(chosen)), chosen, known)
+    result = assess_condition(source.read_rides(chosen.effects, list_car_day_columns(chosen)), chosen, known)
     write_json(json_file, "condition", result.to_json())
     show_report("condition", result, html_file, json_file)

@@ -125,12 +125,12 @@ def write_condition(path: Path, rides: pd.DataFrame, model: LinearModel, events:
     The year bounds the cost of a night.
     """
     from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
-    from socast.core.condition.car_days import select_columns  # noqa: PLC0415 - as above
+    from socast.core.condition.car_days import select_car_day_columns  # noqa: PLC0415 - as above
     from socast.tools.report import condition, page  # noqa: PLC0415 - figures take seconds to import
 
     dates = get_names(rides, "date")
     first = date.fromisoformat(max(dates, default=date.max.isoformat())) - timedelta(days=MOST_DATES - 1)
-    recent = select_columns(rides, model).loc[[day >= first.isoformat() for day in dates]]
+    recent = select_car_day_columns(rides, model).loc[[day >= first.isoformat() for day in dates]]
     found = assess_condition(recent, model, events)
     page.write_report(condition.build_report(found), path.with_suffix(PAGE))
     write_json(path, "condition", replace(found, cars=list(map(_forget_days, found.cars))).to_json())
