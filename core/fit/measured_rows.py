@@ -35,7 +35,7 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
         twice = keys[keys.duplicated()][0]
         raise ModelError(f"ride {twice} is in the ride table twice: give each recording's tables once")
     place = keys.get_indexer(windows["ride_key"])
-    if not (place >= 0).any():
+    if len(keys) + len(place) and not (place >= 0).any():
         raise ModelError("no window belongs to any of the rides: give the windows.parquet that was made with the rides")
     good, by_power = find_measured(rides), is_metered(rides)
     own = {name: rides[name].to_numpy()[place] for name in RIDE_COLUMNS if name in rides}
