@@ -151,6 +151,13 @@ def test_doubtful_effect_is_to_be_tried_and_not_relied_on():
     assert sentences.find_recommended(result) == "cold_rolling"
 
 
+def test_effect_that_raises_the_error_is_said_to_do_so():
+    one = make_diagnosis(missing=[make_missing_effect(gain=-0.19, gain_ci95=[-0.5, 0.12])]).missing[0]
+    assert sentences.describe_gain(one).startswith(
+        "raises the squared error of rides on held-out days by 19.0 % (95 % interval −12.0 % to 50.0 %)"
+    )
+
+
 def test_effect_that_explains_too_little_to_be_added_is_said_to_be_so():
     result = make_diagnosis(missing=[make_missing_effect(gain=0.001, gain_ci95=[0.0005, 0.0015])])
     assert (

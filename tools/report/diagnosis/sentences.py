@@ -182,9 +182,13 @@ def describe_scope(one: NamedEffect) -> str:
 
 
 def describe_gain(one: NamedEffect) -> str:
-    """Return how much of the error an effect explains on held-out days."""
-    interval = word_interval(one.gain_ci95)
-    parts = [f"explains {format_percent(one.gain)}{interval} of the squared error of rides on held-out days"]
+    """Return how much of the error an effect explains on held-out days, or by how much it raises it."""
+    what, limits = "the squared error of rides on held-out days", one.gain_ci95
+    if one.gain is not None and one.gain < 0.0:
+        raised = None if limits is None else (-limits[1], -limits[0])
+        parts = [f"raises {what} by {format_percent(-one.gain)}{word_interval(raised)}"]
+    else:
+        parts = [f"explains {format_percent(one.gain)}{word_interval(limits)} of {what}"]
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
     if (dates := one.effective_dates) is not None and dates < FEW_DATES:
