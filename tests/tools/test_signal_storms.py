@@ -11,7 +11,6 @@ from tests.support.commands import SOCAST
 from tests.support.paths import RECORDINGS
 
 ROUTER = "router", "--listen", "tcp/127.0.0.1:0"
-SERVE = "serve", RECORDINGS / "shift.mcap", "--no-browser", "--read-only"
 
 
 @pytest.mark.parametrize(
@@ -20,7 +19,6 @@ SERVE = "serve", RECORDINGS / "shift.mcap", "--no-browser", "--read-only"
         (ROUTER, b"listening", [signal.SIGTERM, signal.SIGINT], {0, 130}),
         (ROUTER, b"listening", [signal.SIGTERM], {0}),
         (ROUTER, b"listening", [signal.SIGINT], {0, 130}),
-        (SERVE, b"http", [signal.SIGTERM, signal.SIGINT], {0}),
     ],
 )
 def test_storm_of_signals_ends_a_service_as_one_signal_does(tmp_path, command, begun, kinds, code):
