@@ -8,7 +8,6 @@ import time
 import pytest
 
 from tests.support.commands import SOCAST
-from tests.support.paths import RECORDINGS
 
 ROUTER = "router", "--listen", "tcp/127.0.0.1:0"
 
