@@ -74,7 +74,7 @@ class Received(NamedTuple):
     samples: int
 
 
-class _Keys(dict[Any, int]):
+class SampleKeys(dict[Any, int]):
     """Number the key expressions of messages, and make the text of each only once; forecasts, no input, have -1.
 
     Attributes
@@ -136,7 +136,7 @@ class ZenohReceiver:
 
     def __init__(self, node: Node) -> None:
         self._clock = ReceiptClock()
-        self._keys = _Keys()
+        self._keys = SampleKeys()
         self._gaps = SampleGaps()
         self._looked_s = time.monotonic()
         self._session = node.session
