@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import pyarrow as pa
-from zenoh.handlers import FifoChannel
 
 from socast.core.batch import Floats
 from socast.core.models import EXTENDED_PHYSICAL
@@ -27,7 +26,7 @@ from socast.stream.checkpoints import Checkpoints
 from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run
 from socast.stream.recorder import Recorder
 from socast.stream.state_file import StateFile
-from socast.stream.zenoh_receiver import BLOCK, CHANNEL
+from socast.stream.zenoh_receiver import BLOCK, CHANNEL, subscribe
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
@@ -158,8 +157,7 @@ def make_bare_consumer(cars: int, turns: int) -> Consumer:
             taken = [(each.key_expr, each.payload.to_bytes()) for each in islice(iter(receive, None), BLOCK)]
             seen += len(taken)
 
-        channel: Any = FifoChannel(CHANNEL)
-        with node.session.declare_subscriber("fleet/*/telemetry", channel) as subscriber:
+        with subscribe(node.session, "fleet/*/telemetry", CHANNEL) as subscriber:
             receive = subscriber.handler.try_recv
 
             def has_seen(samples: int) -> bool:

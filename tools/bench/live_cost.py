@@ -16,7 +16,6 @@ from typing import Any, Final
 from unittest.mock import patch
 
 import numpy as np
-from zenoh.handlers import FifoChannel
 
 from socast.core.forecast.due_forecasts import DueForecasts
 from socast.core.totals.sample_totals import SampleTotals
@@ -24,7 +23,7 @@ from socast.core.wire.decoder import Decoder
 from socast.core.wire.duplicate_filter import DuplicateFilter
 from socast.core.wire.message_block import MessageBlock
 from socast.stream.zenoh_gaps import SampleGaps
-from socast.stream.zenoh_receiver import BLOCK, SampleKeys
+from socast.stream.zenoh_receiver import BLOCK, SampleKeys, subscribe
 from socast.stream.zenoh_session import Node
 from socast.tools.bench import live
 from socast.tools.bench.figures.published import make_parser, publish, show_table, tell_errors, write_table
@@ -123,8 +122,8 @@ def measure_objects(cars: int) -> dict[tuple[str, str], float]:
     """Return what the steps of taking a sample need, on samples that wait in a channel. [us a sample]"""
     context, (router, connections) = multiprocessing.get_context("spawn"), connect_plainly()
     ready, go = context.Event(), context.Event()
-    channel: Any = FifoChannel(cars * (WAITING + WARM_UP))
-    with Node(router) as node, node.session.declare_subscriber("fleet/*/telemetry", channel) as subscriber:
+    capacity = cars * (WAITING + WARM_UP)
+    with Node(router) as node, subscribe(node.session, "fleet/*/telemetry", capacity) as subscriber:
         process = context.Process(target=publish_stream, args=(connections, cars, WAITING, ready, go))
         process.start()
         receive = subscriber.handler.try_recv
