@@ -10,7 +10,6 @@ import gc
 import inspect
 import os
 import re
-import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -247,7 +246,7 @@ def _wrap_example(line: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; an error that a person can correct is one line on standard error, with exit code 2."""
-    atexit.register(_end_calmly)
+    atexit.register(gc.freeze)  # the interpreter would search what numba and pandas hold for cycles: a quarter second
     given = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in _completed(os.environ) or given if not word.startswith("-")), None)
     try:
@@ -276,14 +275,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         raise SystemExit(2) from None
     raise SystemExit(code)
-
-
-def _end_calmly() -> None:
-    """Let the interpreter end fast, and let no signal that came too late change the exit code."""
-    gc.freeze()  # the interpreter would search what numba and pandas hold for cycles: a quarter second
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if callable(signal.getsignal(number)):  # the interpreter would return to the default, which kills
-            signal.signal(number, signal.SIG_IGN)
 
 
 def _completed(environment: Mapping[str, str]) -> list[str]:
@@ -340,7 +331,3 @@ def _options(
 
 def _unloaded() -> None:
     """Stand for a command that was not called."""
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 
 import pytest
 
@@ -307,6 +307,15 @@ def test_second_interrupt_raises_immediately():
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)  # what the second one set off is not interrupted
+
+
+def test_signals_amid_waits_for_the_stop_block_nothing():
+    with stop_on_signals() as stop:
+        sender = Thread(target=lambda: [os.kill(os.getpid(), signal.SIGTERM) for _ in range(2000)])
+        sender.start()
+        while sender.is_alive():
+            stop.wait(1e-6)
+        assert stop.wait()
 
 
 def test_garbage_collector_visits_no_object_from_before_the_loop():

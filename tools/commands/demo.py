@@ -130,7 +130,7 @@ def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: Li
                 )
             finally:
                 publisher.terminate()
-            failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, -15} else ""
+            failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, 130, -15} else ""
     if failure:
         raise SocastError(f"the publisher failed: {failure.splitlines()[-1]}")
     return source.missed or 0
