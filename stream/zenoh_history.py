@@ -4,8 +4,8 @@ A publisher that numbers its samples keeps the last ones in a cache, and a livel
 tokens of a session vanish when it, the router or a link between them is lost, and come again afterwards, mostly before
 its next sample. The consumer then asks the caches of the session for all that they hold, and the pipeline drops what it
 has. A further publisher of a session that is there was never cut off, and is not asked. Where the numbers of a
-publisher show a gap, its cache alone is asked, and only from there on. Storages are asked for the last hour at the
-start and after the return of the router; queries for keys with `@` never reach them.
+publisher show a gap, its cache alone is asked, and only from there on. At the start and after the return of the
+router, storages are asked for the last hour too; they have no keys with `@`.
 
 At the start and after the return of the router, all live samples wait for answers, at most `HOLD_S`. Otherwise only
 those wait whose session or publisher is asked, so that none holds up another: those of a publisher for the end of its
@@ -62,7 +62,6 @@ _ANSWERS: Final = 1 << 8
 _TOKENS: Final = 1 << 16
 _ALL: Final = ""
 _STORED: Final = [*(kind for kind in OF_VEHICLES if kind != "forecast"), BATCH]  # not `outlook`, which consumers answer
-_SINCE: Final = "?_time=[now(-1h)..]"  # as long as the filter of duplicates remembers
 _MARK: Final = "/@adv/pub/"  # between the key of a publisher and the identity of its session, in a token
 _log = logging.getLogger("socast.zenoh")
 
@@ -103,8 +102,11 @@ class CacheHistory:
         self._session = node.session
         self._spaces = [f"{space}{_MARK}" for space in spaces]
         fleets = [space for space in spaces if space.endswith("/**") and "fleet" in space.split("/")]
-        stored = [*(set(spaces) - set(fleets)), *(f"{space}/{kind}" for space in fleets for kind in _STORED)]
-        self._everybody = [*(f"{space}**" for space in self._spaces), *(f"{keys}{_SINCE}" for keys in stored)]
+        kept = [*(set(spaces) - set(fleets)), *(f"{space}/{kind}" for space in fleets for kind in _STORED)]
+        self._everybody = [
+            *(f"{space}**" for space in self._spaces),
+            *(f"{keys}?_time=[now(-1h)..]" for keys in kept),
+        ]
         self._must_ask_all = True
         self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
         self._gone: dict[str, float] = {}  # token -> time until which it is awaited

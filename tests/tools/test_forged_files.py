@@ -76,6 +76,27 @@ def test_forged_file_is_no_traceback_where_the_product_reads_its_own(tmp_path, r
         read(path)
 
 
+BEGIN = "from socast import effect\n"
+DECLARED = "@effect(coefficient='c', unit='N', low=0, high=60, source='s')\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            f"{DECLARED}def big({', '.join(f'c{i}' for i in range(9_000))}):\n    return c0\n",
+            "9,000 is more than 100",
+        ),
+        ("".join(f"{DECLARED}def e{i}(speed):\n    return speed\n" for i in range(5000)), "5,000 is more than 1,000"),
+    ],
+    ids=["columns", "effects"],
+)
+def test_file_of_too_many_effects_or_columns_is_one_line(tmp_path, capsys, content, words):
+    path = tmp_path / "effects.py"
+    path.write_text(BEGIN + content)
+    assert words in refused(capsys, "effects", "check", path)
+
+
 PLACES = {
     "a circle of links": lambda path: path.symlink_to(path.name),
     "a folder": lambda path: path.mkdir(),

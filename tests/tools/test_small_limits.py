@@ -24,7 +24,7 @@ def refused_under(limit, command):
 @pytest.mark.parametrize("files", [8, 12, 13, 14, 16, 20])
 def test_too_few_open_files_are_named_before_zenoh_aborts(files):
     words = refused_under(f"-n {files}", ROUTER)
-    assert f"of at most {files}, and Zenoh needs 24 more: raise the limit with `ulimit -n 256`" in words
+    assert f"of at most {files}, and Zenoh needs 24 more: raise it with `ulimit -n 256`" in words
 
 
 @pytest.mark.parametrize("megabytes", [200, 300, 400, 500, 600])
