@@ -6,7 +6,7 @@ import socket
 import sys
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from os import environ
 from threading import current_thread, main_thread
 from typing import Any, Final
@@ -122,9 +122,10 @@ class _Server(uvicorn.Server):
                 for number, handler in before.items():
                     signal.signal(number, handler)
 
-    def capture_signals(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
         """Leave the signals alone: they are obeyed already."""
-        return nullcontext()
+        yield
 
     def _stop(self, *_: object) -> None:
         """Stop; at the second signal, do not wait for open connections."""
