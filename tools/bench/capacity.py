@@ -60,7 +60,7 @@ def measure(cars: int, rounds: int, folder: Path) -> dict[str, Any]:
     listening.wait(PATIENCE_S)
     log, kept = folder / "consumer.log", folder / "kept"
     files = "--record", kept, "--state", folder / "fleet.state", "--report", 1.0, "--max-vehicles", 10_000_000
-    command = [sys.executable, "-m", "socast.tools.cli", "live", "--connect", endpoint, "--json-log", *map(str, files)]
+    command = [sys.executable, "-m", "socast", "live", "--connect", endpoint, "--json-log", *map(str, files)]
     with log.open("w") as file:
         consumer = subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
     connections = [Connection(connect=(endpoint,))]
