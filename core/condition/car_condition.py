@@ -36,8 +36,8 @@ COLD_SD: Final = 0.004
 """Standard deviation of the share of the capacity that a kelvin takes off, before any data. [1/K]"""
 FEW_CARS: Final = 12
 """Number of cars of a vehicle model up to which a step of one of them shifts the mean of the others noticeably."""
-LARGEST_RATE_SD: Final = 0.8
-"""A rate is told if its standard deviation is less than this share of that before any data. [1]"""
+LARGEST_RATE_SD: Final = 1.3
+"""A rate is told if its standard deviation is less than this multiple of that of the rates of cars. [1]"""
 CLEAR_SDS: Final = 3.0
 """Number of standard deviations from which a rate is a finding; by chance, one car in 370 has such a rate."""
 LEAST_DAYS: Final = 6

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
+from socast.core.condition.step_mixture import NO_SHOCK, ShockMixture
 
 YEAR: Final = 365.25
 """Length of a year. [d]"""
@@ -109,7 +110,7 @@ class Path(NamedTuple):
     level, sd : (n, t) float
         Level and its standard deviation. [1]
     rate, rate_sd : (n,) float
-        Rate and its standard deviation. [1/year]
+        Rate and its standard deviation by the data alone, without the prior that holds in the level. [1/year]
     """
 
     level: Floats
@@ -123,10 +124,17 @@ class Path(NamedTuple):
         n, days = series.value.shape
         return cls(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
 
-    def put(self, row: int, level: Floats, variance: Floats, rate: float, rate_variance: float) -> None:
-        """Write the path of a car, with its last rate and the variance of that. [1/d], [1/d^2]"""
-        self.level[row], self.sd[row] = level, np.sqrt(np.maximum(variance, 0.0))
-        self.rate[row], self.rate_sd[row] = YEAR * rate, YEAR * max(rate_variance, 0.0) ** 0.5
+    def put(self, row: int, smoothed: SmoothedLevel, found: Wandering, added: ShockMixture = NO_SHOCK) -> None:
+        """Write the path of a car, and what shocks add to it.
+
+        The prior precision of the rate is taken off: an interval that is drawn towards zero misses large rates.
+        """
+        self.level[row] = smoothed.level + added.level
+        self.sd[row] = np.sqrt(np.maximum(smoothed.variance + added.variance, 0.0))
+        prior, variance = (found.rate / YEAR) ** 2, float(smoothed.rate_variance[-1])
+        freed = prior / max(prior - variance, 1e-6 * prior)
+        self.rate[row] = YEAR * freed * (float(smoothed.rate[-1]) + added.rate)
+        self.rate_sd[row] = YEAR * max(freed * variance + freed**2 * added.rate_variance, 0.0) ** 0.5
 
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
@@ -249,6 +257,5 @@ def smooth_levels(series: Series, found: Wandering) -> Path:
     """Return the smoothed paths of the levels of cars."""
     path = Path.make_empty(series)
     for car in smooth_cars(series, found):
-        each = car.smoothed
-        path.put(car.row, each.level, each.variance, each.rate[-1], each.rate_variance[-1])
+        path.put(car.row, car.smoothed, found)
     return path

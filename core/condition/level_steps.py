@@ -16,7 +16,6 @@ auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the Americ
 773, DOI 10.1080/01621459.1995.10476572, on evidence.
 """
 
-import operator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -188,14 +187,15 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
     """
     path, variances = Path.make_empty(series), found.compute_variances()
     for car in smooth_cars(series, found, [[each.since for each in of_car] for of_car in steps]):
-        level, variance, rate, rate_variance, score, information = car.smoothed
         known, added = np.flatnonzero(car.known), NO_SHOCK
         if len(known) >= 2 * LEAST_SIDE:
-            weighed = _weigh_steps(series.dates[known].astype(np.float64), score[known], information[known])
+            weighed = _weigh_steps(
+                series.dates[known].astype(np.float64), car.smoothed.score[known], car.smoothed.information[known]
+            )
             if (chance := weighed.probability) >= WEIGHED:
                 likely = np.sort(weighed.rank_likely())
                 chances = chance * weighed.odds[likely] / weighed.odds[likely].sum()
                 places, of_steps = known[weighed.places[likely]], (weighed.sizes[likely], weighed.variances[likely])
                 added = mix_shocks(*car[1:5], variances, places, chances, *of_steps)
-        path.put(car.row, *map(operator.add, (level, variance, rate[-1], rate_variance[-1]), added))
+        path.put(car.row, car.smoothed, found, added)
     return path
