@@ -17,6 +17,7 @@ from socast.core.batch import Floats
 from socast.core.condition.car_days import (
     LEAST_SIBLINGS,
     CarDays,
+    estimate_noise,
     forget_cars,
     gather_car_days,
     select_car_day_columns,
@@ -76,7 +77,6 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
     models, written = np.array(days.models), [_write_date(each) for each in days.consumption.dates]
     cars = [_assess_car(days, i, models == models[i], written, consumption, batteries) for i in range(len(models))]
     known = np.isfinite(days.consumption.value)
-    sizes = consumption.found.of_day**2, consumption.found.of_amount**2
     result = FleetCondition(
         model=model.name,
         rides=len(compared.rides),
@@ -86,7 +86,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
         first_date=written[0],
         last_date=written[-1],
         left_out=compared.left_out,
-        day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(*sizes)[known]))),
+        day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(consumption.found)[known]))),
         cold_loss_pct=None if cold_loss is None else 100.0 * cold_loss,
         cars=sorted(cars, key=_rank),
     )
@@ -107,13 +107,13 @@ def follow_beside_siblings(series: Series, models: list[str]) -> Followed:
     with the clearest steps is therefore taken first: as a sibling it counts without them, and the others are judged
     anew.
     """
-    sizes = CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2
+    noise = estimate_noise(series, models)
     explained: dict[int, list[LevelStep]] = {}
     counts = {name: models.count(name) for name in models}
     while True:
         taken = [explained.get(i, []) for i in range(len(models))]
         without = subtract_steps(series, taken).value
-        beside = subtract_siblings(series, models, *sizes, without)
+        beside = subtract_siblings(series, models, noise, without)
         found, heavy, steps = separate_steps(beside, CONSUMPTION)
         open_cars = [i for i, each in enumerate(steps) if each and i not in explained and counts[models[i]] <= FEW_CARS]
         if not open_cars or len(explained) >= FEW_CARS:
@@ -129,7 +129,7 @@ def _subtract_cold(days: CarDays) -> tuple[Series, float | None]:
     known = np.isfinite(value)
     if not known.any():
         return series, None
-    weight = np.where(known, 1.0 / series.compute_variance(CAPACITY.of_day**2, CAPACITY.of_amount**2), 0.0)
+    weight = np.where(known, 1.0 / series.compute_variance(CAPACITY), 0.0)
     sums = np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
     years = np.broadcast_to((series.dates - series.dates[0]) / YEAR, value.shape)
 

@@ -36,6 +36,8 @@ LEVEL_SD: Final = 0.3
 """Standard deviation of the level of a car before any data. [1]"""
 FREEDOM: Final = 5.0
 """Degrees of freedom of the noise."""
+INFORMATION: Final = (FREEDOM + 3.0) / (FREEDOM + 1.0)
+"""Variance of a mean of such noise over that which the variances of single values give it. [1]"""
 QUICK: Final = 0.3
 """Wander, in a year, of the level beside which a value is far off: a step of the level is followed within days. [1]"""
 MOST_CARS: Final = 100
@@ -64,9 +66,9 @@ class Series(NamedTuple):
     amount: Floats
     extra: Floats
 
-    def compute_variance(self, of_day: float, of_amount: float) -> Floats:
+    def compute_variance(self, sizes: "Wandering") -> Floats:
         """Return the variance of each value. [1]"""
-        return np.asarray(of_day + of_amount / np.maximum(self.amount, 1e-9) + self.extra)
+        return np.asarray(sizes.of_day**2 + sizes.of_amount**2 / np.maximum(self.amount, 1e-9) + self.extra)
 
 
 class Wandering(NamedTuple):
@@ -147,12 +149,16 @@ def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Ser
     for _ in range(ROUNDS):
         found = _maximise(Series(out.dates, *(each[::every] for each in out[1:])), prior)
         level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
-        plain = series.compute_variance(found.of_day**2, found.of_amount**2)
+        plain = series.compute_variance(found)
         off = (series.value - level) ** 2 / np.maximum(variance - noise + plain, 1e-12)
-        heavier = np.maximum((off + FREEDOM) / (FREEDOM + 1.0) - 1.0, 0.0)
-        extra = np.where(np.isfinite(series.value), series.extra + heavier * plain, series.extra)
-        out = series._replace(extra=extra)
-    return found, out
+        heavier = (off + FREEDOM) / (FREEDOM + 1.0)
+        out = _add_variance(series, plain * np.maximum(heavier - 1.0, 0.0))
+    return found, _add_variance(series, plain * (INFORMATION * heavier - 1.0))
+
+
+def _add_variance(series: Series, more: Floats) -> Series:
+    """Return a series with a larger variance of what was measured."""
+    return series._replace(extra=series.extra + np.where(np.isfinite(series.value), more, 0.0))
 
 
 def _maximise(series: Series, prior: Wandering) -> Wandering:
@@ -186,7 +192,7 @@ def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, F
 
 def _filter(series: Series, found: Wandering) -> tuple[float, Floats, Floats]:
     """Return the log-likelihood of all cars, the noise, and the predicted levels with their variances, (2, n, t)."""
-    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    noise = series.compute_variance(found)
     out = np.empty((2, *series.value.shape))
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
     likelihood = _filter_levels(series.value, noise, gaps, found.wander**2 / YEAR, (found.rate / YEAR) ** 2, out)
@@ -239,7 +245,7 @@ def smooth_cars(series: Series, found: Wandering, breaks: Sequence[Collection[in
 
     `breaks` are the ordinals at which the level of each car changes suddenly, by an unknown amount.
     """
-    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    noise = series.compute_variance(found)
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
     every, variances = np.isfinite(series.value), found.compute_variances()
     for row, (value, known) in enumerate(zip(series.value, every, strict=True)):

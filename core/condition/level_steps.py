@@ -35,7 +35,7 @@ from socast.core.condition.step_mixture import NO_SHOCK, mix_shocks
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
-STEPS_A_YEAR: Final = 0.5
+STEPS_A_YEAR: Final = 1.0
 """Number of steps of a car in a year that is expected before any data."""
 REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
@@ -96,7 +96,7 @@ def subtract_steps(series: Series, steps: list[list[LevelStep]]) -> Series:
 
 def _list_steps(series: Series, found: Wandering, least: float, every: int = 1) -> list[list[LevelStep]]:
     """Return the steps of each car, or of one of so many."""
-    variance, out = series.compute_variance(found.of_day**2, found.of_amount**2), list[list[LevelStep]]()
+    variance, out = series.compute_variance(found), list[list[LevelStep]]()
     for i, value in enumerate(series.value):
         known = np.isfinite(value)
         of_car = series.dates[known].astype(np.float64), value[known], variance[i][known]
