@@ -64,6 +64,7 @@ from socast.tools.simulator.physics import (
     ROLLING,
     SNOW,
     SPEED_ROLLING,
+    TURNING_LOSS,
     TYRE_PRESSURE,
     WET_ROAD,
     WHEEL,
@@ -115,7 +116,17 @@ TITLES: Final = {
 
 
 class TermTruth(Truth):
-    """Collect what each ride took at the wheels by term of the model, besides the usual truth."""
+    """Collect what each ride took at the wheels by term of the model, besides the usual truth.
+
+    Parameters
+    ----------
+    motor_map : bool
+        Whether motors lose energy as soon as they turn.
+    """
+
+    def __init__(self, *, motor_map: bool = ALL_PHENOMENA.motor_map) -> None:
+        super().__init__()
+        self._motor_map = motor_map
 
     def add_shift(
         self, name: str, shift: Shift, state: State, hidden: EffectEnergies | None, faults: Counter[str]
@@ -128,16 +139,22 @@ class TermTruth(Truth):
         people = PERSON * line.occupants * (parts[:, PAYLOAD] != 0.0)
         faster = people * (line.after**2 - line.before**2) / (2.0 * STEP)
         higher = people / self.cars[name]["mass"] * parts[:, CLIMBING]
+        speed = 0.5 * (line.before + line.after)
+        for_time, for_way = (
+            self._motor_map * (speed > 0.0) * np.stack((np.full_like(speed, TURNING_LOSS[0]), TURNING_LOSS[1] * speed))
+        )
+        losses = parts[:, LOSSES] - for_time - for_way
         inertia, driven = parts[:, INERTIA] + faster, np.maximum(wheel, 0.0)
         powers = {
             "rolling": parts[:, TYRES].sum(axis=1) + parts[:, PAYLOAD] - faster - higher,
             "aero_drag": parts[:, AIR].sum(axis=1),
             "climbing": parts[:, CLIMBING] + higher,
-            "accessories": parts[:, ACCESSORIES].sum(axis=1),
+            "accessories": parts[:, ACCESSORIES].sum(axis=1) + for_time,
+            "turning": for_way,
             "driven": driven,
-            "driving_losses": np.where(wheel >= 0.0, parts[:, LOSSES], 0.0),
+            "driving_losses": np.where(wheel >= 0.0, losses, 0.0),
             "braked": driven - wheel,
-            "braking_losses": np.where(wheel < 0.0, parts[:, LOSSES], 0.0) + parts[:, BRAKES],
+            "braking_losses": np.where(wheel < 0.0, losses, 0.0) + parts[:, BRAKES],
         }
         for ride, trip in zip(self.rides[first:], shift.trips, strict=True):
             inside = slice(trip.begin, trip.end)
@@ -209,7 +226,8 @@ def measure_fleets(seeds: Sequence[int], processes: int) -> dict[str, Any]:
 
 def measure_fleet(seed: int, physics: str) -> list[TermEnergy]:
     """Return the energies of the terms of a simulated fleet beside the true ones."""
-    truth, (phenomena, faults) = TermTruth(), SETTINGS[physics]
+    phenomena, faults = SETTINGS[physics]
+    truth = TermTruth(motor_map=phenomena.motor_map)
     simulation = Simulation(
         vehicles=3,
         days=5,
@@ -245,6 +263,7 @@ def sum_terms(truth: Truth, rides: set[tuple[str, str]]) -> dict[str, float]:
                 for term, energy in ride["terms_kwh"].items():
                     sums[term] += energy
         out["accessories"] += sums.pop("accessories", 0.0)
+        out["rolling"] += sums.pop("turning", 0.0)
         driven, losses, braked, lost = (
             sums.pop(key, 0.0) for key in ("driven", "driving_losses", "braked", "braking_losses")
         )
