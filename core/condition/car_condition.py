@@ -6,7 +6,6 @@ usable capacity of each car (`socast.core.condition.level_model`), and sudden ch
 """
 
 from collections.abc import Sequence
-from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from socast.core.condition.car_days import (
     gather_car_days,
     select_car_day_columns,
     subtract_siblings,
+    write_date,
 )
 from socast.core.condition.known_events import place_events
 from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering
@@ -74,7 +74,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
     consumption = follow_beside_siblings(days.consumption, days.models)
     capacity, cold_loss = _subtract_cold(days)
     batteries = follow(capacity, CAPACITY)
-    models, written = np.array(days.models), [_write_date(each) for each in days.consumption.dates]
+    models, written = np.array(days.models), [write_date(each) for each in days.consumption.dates]
     cars = [_assess_car(days, i, models == models[i], written, consumption, batteries) for i in range(len(models))]
     known = np.isfinite(days.consumption.value)
     result = FleetCondition(
@@ -198,8 +198,8 @@ def _describe_step(step: LevelStep) -> ConditionStep:
     """Return a step as a record."""
     low, high = _around(step.size, step.sd)
     return ConditionStep(
-        since=_write_date(step.since),
-        interval=(_write_date(step.low), _write_date(step.high)),
+        since=write_date(step.since),
+        interval=(write_date(step.low), write_date(step.high)),
         change_pct=_to_percent(step.size),
         ci95_pct=(_to_percent(low), _to_percent(high)),
         probability=step.probability,
@@ -224,8 +224,3 @@ def _to_percent(log: float) -> float:
 def _to_percents(logs: Floats) -> list[float | None]:
     """Return the changes that logarithms of factors mean. [%]"""
     return list((100.0 * np.expm1(logs)).tolist())
-
-
-def _write_date(ordinal: float) -> str:
-    """Return the ISO date of an ordinal."""
-    return date.fromordinal(int(ordinal)).isoformat()

@@ -7,6 +7,7 @@ Cars of a fleet share the weather of a date and whatever the model lacks of it. 
 cars, the mean of the others is taken off each of them, so that the series of a car is its deviation from its siblings.
 """
 
+from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -147,6 +148,11 @@ def _take_logarithm(factor: Floats) -> Floats:
     """Return the logarithms of factors that a car can have, NaN for others."""
     possible = (factor > 1.0 / LARGEST_FACTOR) & (factor < LARGEST_FACTOR)
     return np.log(factor, out=np.full(factor.shape, np.nan), where=possible)
+
+
+def write_date(ordinal: int) -> str:
+    """Return the ISO date of an ordinal."""
+    return date.fromordinal(int(ordinal)).isoformat()
 
 
 def estimate_noise(series: Series, models: list[str]) -> Floats:
