@@ -74,7 +74,7 @@ class Received(NamedTuple):
     samples: int
 
 
-class _Keys(dict[Any, int]):
+class SampleKeys(dict[Any, int]):
     """Number the key expressions of messages, and make the text of each only once; forecasts, no input, have -1.
 
     Attributes
@@ -109,6 +109,12 @@ class _Keys(dict[Any, int]):
             self.texts, self._characters = [], 0
 
 
+def subscribe(session: zenoh.Session, keys: str, capacity: int) -> Any:
+    """Return a subscriber to samples of other sessions, with a channel of its own."""
+    channel: Any = handlers.FifoChannel(capacity)
+    return session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
+
+
 def adapt_nap(nap_s: float, fullness: float) -> float:
     """Return how long to wait for more samples, so that a look finds about half as many as it takes at most.
 
@@ -136,13 +142,13 @@ class ZenohReceiver:
 
     def __init__(self, node: Node) -> None:
         self._clock = ReceiptClock()
-        self._keys = _Keys()
+        self._keys = SampleKeys()
         self._gaps = SampleGaps()
         self._looked_s = time.monotonic()
         self._session = node.session
         self._routers = len(node.session.info.routers_zid())
         self._spaces = list_spaces(node)
-        self._subscribers = [self._subscribe(keys, CHANNEL) for keys in self._spaces]
+        self._subscribers = [subscribe(self._session, keys, CHANNEL) for keys in self._spaces]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._batches = self._receivers[-1] if shares_batches(node) else None
         self._brakes: list[Any] = []
@@ -184,7 +190,7 @@ class ZenohReceiver:
         Zenoh hands each sample to all subscribers, and waits where a channel of one sample cannot take the second one.
         """
         if not self._brakes:
-            self._brakes = [self._subscribe(keys, 1) for keys in self._spaces]
+            self._brakes = [subscribe(self._session, keys, 1) for keys in self._spaces]
 
     def end(self) -> None:
         """Receive nothing more; what has arrived can still be taken. A second call has no effect."""
@@ -266,8 +272,3 @@ class ZenohReceiver:
             )
             _log.log(level, event, extra=event_fields(routers=routers))
             self._routers = routers
-
-    def _subscribe(self, keys: str, capacity: int) -> Any:
-        """Return a subscriber with its own channel."""
-        channel: Any = handlers.FifoChannel(capacity)
-        return self._session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
