@@ -127,7 +127,7 @@ class Path(NamedTuple):
         return cls(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
 
     def put(self, row: int, smoothed: SmoothedLevel, found: Wandering, added: ShockMixture = NO_SHOCK) -> None:
-        """Write the path of a car, and what shocks add to it.
+        """Write the path of a car, and what shocks add to its level.
 
         The prior precision of the rate is taken off: an interval that is drawn towards zero misses large rates.
         """
@@ -135,8 +135,7 @@ class Path(NamedTuple):
         self.sd[row] = np.sqrt(np.maximum(smoothed.variance + added.variance, 0.0))
         prior, variance = (found.rate / YEAR) ** 2, float(smoothed.rate_variance[-1])
         freed = prior / max(prior - variance, 1e-6 * prior)
-        self.rate[row] = YEAR * freed * (float(smoothed.rate[-1]) + added.rate)
-        self.rate_sd[row] = YEAR * max(freed * variance + freed**2 * added.rate_variance, 0.0) ** 0.5
+        self.rate[row], self.rate_sd[row] = YEAR * freed * float(smoothed.rate[-1]), YEAR * (freed * variance) ** 0.5
 
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:

@@ -39,7 +39,7 @@ STEPS_A_YEAR: Final = 1.0
 """Number of steps of a car in a year that is expected before any data."""
 REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
-SUSPECTED: Final = 0.3
+SUSPECTED: Final = 0.5
 """Probability of a step from which it does not count as wandering. [1]"""
 WEIGHED: Final = 0.1
 """Probability of a step from which the level is a mean over the step and none. [1]"""
@@ -182,8 +182,8 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
     """Return the smoothed paths of cars with the steps that were found, averaged over one more step and none.
 
     A step that is too uncertain to be reported is weighed by its probability, if that is at least `WEIGHED`, so that
-    the interval holds what the level would be with it and without. Level and rate are means of this mixture, with its
-    standard deviations.
+    the interval holds what the level would be with it and without. The level is the mean of this mixture, with its
+    standard deviation. The rate is that without such a step.
     """
     path, variances = Path.make_empty(series), found.compute_variances()
     for car in smooth_cars(series, found, [[each.since for each in of_car] for of_car in steps]):
