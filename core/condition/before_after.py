@@ -60,8 +60,8 @@ def compare_before_after(days: CarDays, campaign: Campaign, model: str) -> Befor
     return BeforeAfter(
         vehicles=[days.cars[row] for row in rows],
         model=model,
-        at=campaign.at and write_date(campaign.at),
-        until=campaign.until and write_date(campaign.until),
+        at=write_date(campaign.at) if campaign.at else None,
+        until=write_date(campaign.until) if campaign.until else None,
         what=campaign.what,
         last_date=write_date(series.dates[-1]),
         change=change,

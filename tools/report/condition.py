@@ -191,7 +191,7 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
             ("rate, %/year", lambda car: _format_rate(car.consumption)),
             ("changed", _list_changes),
             ("usable, kWh", _format_usable),
-            ("battery, %/year", lambda car: _format_rate(car.capacity)),
+            ("its rate, %/year", lambda car: _format_rate(car.capacity)),
         ],
         (NOTE, STEP_NOTE),
     )
