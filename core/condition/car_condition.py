@@ -16,7 +16,7 @@ from socast.core.batch import Floats
 from socast.core.condition.car_days import (
     LEAST_SIBLINGS,
     CarDays,
-    estimate_noise,
+    estimate_day_noise,
     forget_cars,
     gather_car_days,
     select_car_day_columns,
@@ -107,7 +107,7 @@ def follow_beside_siblings(series: Series, models: list[str]) -> Followed:
     with the clearest steps is therefore taken first: as a sibling it counts without them, and the others are judged
     anew.
     """
-    noise = estimate_noise(series, models)
+    noise = estimate_day_noise(series, models)
     explained: dict[int, list[LevelStep]] = {}
     counts = {name: models.count(name) for name in models}
     while True:

@@ -155,7 +155,7 @@ def write_date(ordinal: int) -> str:
     return date.fromordinal(int(ordinal)).isoformat()
 
 
-def estimate_noise(series: Series, models: list[str]) -> Floats:
+def estimate_day_noise(series: Series, models: list[str]) -> Floats:
     """Return the variance of each value's own noise, (n, t): what is far off beside its siblings has a larger one."""
     beside = subtract_siblings(series, models)
     found, heavy = estimate_wandering(beside, CONSUMPTION)

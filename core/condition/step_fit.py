@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, States
-from socast.core.condition.car_days import LEAST_SIBLINGS, estimate_noise, subtract_siblings
+from socast.core.condition.car_days import LEAST_SIBLINGS, estimate_day_noise, subtract_siblings
 from socast.core.condition.level_model import CONSUMPTION, YEAR, Series, Wandering, estimate_wandering
 
 
@@ -65,7 +65,7 @@ def subtract_untreated(series: Series, models: list[str], treated: NDArray[np.bo
         return Series(series.dates, *(each[rows] for each in series[1:])), [models[i] for i in rows]
 
     if len(untreated):
-        noise[untreated] = estimate_noise(*select(untreated))
+        noise[untreated] = estimate_day_noise(*select(untreated))
     groups = [(untreated, untreated)]
     groups += [(np.array([row]), np.sort(np.append(untreated, row))) for row in np.flatnonzero(treated)]
     for wanted, rows in groups:
