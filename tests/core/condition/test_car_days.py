@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.core.condition.car_days import gather_car_days, subtract_siblings
+from socast.core.condition.car_days import estimate_day_noise, gather_car_days, subtract_siblings
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.tools.bench.condition_fleets import make_fleet
@@ -30,6 +30,20 @@ def test_car_day_is_the_energy_of_its_rides_over_the_prediction():
     assert days.cars == ["a", "b"]
     assert days.consumption.value == pytest.approx(np.full((2, 8), np.log(1.1)))
     assert days.consumption.amount == pytest.approx(np.full((2, 8), 4.0))
+
+
+def test_noise_of_the_meter_is_known_variance():
+    frame = rides(energy_vi_kwh=np.nan, energy_soc_noise_kwh=0.1)
+    days = gather_car_days(compared(frame), "m")
+    assert days.consumption.extra == pytest.approx(np.full((2, 8), 2 * 0.1**2 / 4.0**2))
+    assert (days.capacity.extra == 0.0).all()
+
+
+def test_days_far_off_count_less_as_siblings():
+    fleet = make_fleet(1)
+    fleet.value[2, 30] = fleet.value[2, 29] + 0.8
+    noise = estimate_day_noise(fleet, ["m"] * 8)
+    assert noise[2, 30] > 20.0 * np.median(noise[2])
 
 
 def test_capacity_is_the_energy_over_the_fall_of_the_display():

@@ -60,6 +60,13 @@ def test_intervals_of_rates_hold_the_truth():
     assert 0.88 <= np.mean(held) <= 0.99
 
 
+def test_rate_is_not_drawn_towards_zero_by_its_prior():
+    time = np.arange(60)
+    trend = Series(FIRST + time, 0.1 * time[np.newaxis] / YEAR, np.full((1, 60), 10.0), np.zeros((1, 60)))
+    for rate in (0.01, 0.03):
+        assert smooth_levels(trend, KNOWN._replace(rate=rate)).rate[0] == pytest.approx(0.1, rel=1e-3)
+
+
 def test_car_without_values_has_no_path():
     fleet = make_fleet(6)
     fleet.value[2] = np.nan
