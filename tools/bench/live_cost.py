@@ -23,7 +23,8 @@ from socast.core.wire.decoder import Decoder
 from socast.core.wire.duplicate_filter import DuplicateFilter
 from socast.core.wire.message_block import MessageBlock
 from socast.stream.zenoh_gaps import SampleGaps
-from socast.stream.zenoh_receiver import BLOCK, SampleKeys, subscribe
+from socast.stream.zenoh_keys import SampleKeys
+from socast.stream.zenoh_receiver import BLOCK, subscribe
 from socast.stream.zenoh_session import Node
 from socast.tools.bench import live
 from socast.tools.bench.figures.published import make_parser, publish, show_table, tell_errors, write_table
