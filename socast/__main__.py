@@ -35,7 +35,7 @@ class _Interrupter:
     def ask_again(self, lost: Any) -> None:
         """Interrupt again soon, as a hook for exceptions that have nowhere to go."""
         if issubclass(lost.exc_type, _Interrupt):
-            self.calm_until = min(self.calm_until, 0.0)
+            self.calm_until = 0.0
             signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
         else:
             sys.__unraisablehook__(lost)

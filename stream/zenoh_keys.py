@@ -8,8 +8,12 @@ from typing import Any, Final
 
 import zenoh
 
+from socast.core.wire.messages import BATCH
+
 _MOST_KEYS, _MOST_CHARACTERS, _LONGEST_KEY = 100_000, 1 << 23, 512  # that are remembered as text
-_FORGET: Final = ""
+_FREQUENT: Final = "/telemetry", f"/{BATCH}", "/forecast"  # ends of the keys that are declared
+MOST_DECLARED: Final = 1 << 14
+"""Largest number of keys that are declared in the life of a session, see `KeyDeclarer`."""
 END_S: Final = 1.0
 """Longest wait for a declaration at the end. [s]"""
 
@@ -58,42 +62,43 @@ class SampleKeys(dict[Any, int]):
 
 
 class KeyDeclarer:
-    """Declare keys of samples to a session, from a thread of its own.
+    """Declare keys of frequent samples to a session, from a thread of its own.
 
     A client of a router compares each sample of a key that is not declared with every key that it knows, such as those
     of the tokens of publishers: 0.2 ms for 1,000 cars (zenoh 1.10). A declaration waits for samples that are being
     delivered, and these may wait for the thread that takes samples, which must therefore not make it.
+
+    Zenoh numbers the declarations of a session with 16 bits. After 65,535 of them, though undeclared meanwhile, it
+    gives numbers again and delivers samples with the key of another car. A declaration also costs more, the more keys
+    are declared. Only the first `MOST_DECLARED` are therefore declared, as strangers may make up keys.
     """
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._left = MOST_DECLARED
         self._todo: SimpleQueue[str | None] = SimpleQueue()
+        self._declared: list[Any] = []  # a key that nobody holds is undeclared
         self._thread: Thread | None = None
 
     def add(self, key: str) -> None:
-        """Let a key be declared; return at once."""
+        """Let a key be declared if its samples are frequent; return at once."""
+        if not self._left or not key.endswith(_FREQUENT):
+            return
+        self._left -= 1
         if self._thread is None:
             self._thread = Thread(target=self._work, name="zenoh-keys", daemon=True)
             self._thread.start()
         self._todo.put(key)
 
-    def forget(self) -> None:
-        """Let all keys be undeclared; return at once."""
-        self._todo.put(_FORGET)
-
     def close(self) -> None:
         """Declare no more; the keys remain declared until the session ends. A second call has no effect."""
+        self._left = 0
         self._todo.put(None)
         if self._thread is not None:
             self._thread.join(END_S)
 
     def _work(self) -> None:
         """Declare keys until the end of the declarer or of the session."""
-        declared: list[Any] = []
         with suppress(zenoh.ZError):
             while (key := self._todo.get()) is not None:
-                if key == _FORGET:
-                    while declared:
-                        self._session.undeclare(declared.pop())
-                else:
-                    declared.append(self._session.declare_keyexpr(key))
+                self._declared.append(self._session.declare_keyexpr(key))

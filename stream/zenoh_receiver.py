@@ -145,7 +145,6 @@ class ZenohReceiver:
         self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
         if self._keys.begin_list_if_full():
             self._gaps.forget()
-            self._declarer.forget()
         messages, recovered = self._order(samples, stopping=stopping)
         if size := messages.size:
             self._block = max(1, min(BLOCK, BLOCK_BYTES * len(messages) // size))

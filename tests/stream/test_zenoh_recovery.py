@@ -24,7 +24,6 @@ KEYS, EACH = 600, 100
 PUBLISHER = f"""
 import sys
 from socast.core.wire.messages import Message
-from socast.stream.zenoh_history import CacheHistory, merge_samples
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
