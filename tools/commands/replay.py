@@ -193,8 +193,12 @@ def replay(
                 _publish(source, delivery, sources, stop, connect or f"the router of {config}")
         elif expectation is None:
             report = _forecast(source, sources, rate, options, out, layout, zone)
+            is_whole = not stop.is_set()
             write_json(json_file, "replay", report.result)
             report.show(make_console(json_file), layout, zone)
+            if not is_whole:
+                words = "stopped before the end: the results are those of the messages so far"
+                print_plain(Console(stderr=True), words, style="yellow")
         else:
             with expectation.open_replacement() as fresh, TemporaryDirectory() as folder:
                 made = out or fresh or Path(folder) / "forecasts.mcap"

@@ -66,7 +66,10 @@ def test_update_prints_what_changes(expected, tmp_path):
     assert called("replay", SHIFT, "--expect", file, "--model", "basic_physical")[2] == 0
 
 
-def test_stopped_replay_neither_passes_nor_replaces_the_expectation(expected, capsys, monkeypatch):
+@pytest.fixture
+def stopped(monkeypatch):
+    """Let replays be stopped after their first messages."""
+
     class LateStop(Event):
         asked = 0
 
@@ -74,12 +77,23 @@ def test_stopped_replay_neither_passes_nor_replaces_the_expectation(expected, ca
             self.asked += 1
             return self.asked > 1
 
+    monkeypatch.setattr("socast.tools.commands.replay.stop_on_signals", lambda: nullcontext(LateStop()))
+
+
+@pytest.mark.usefixtures("stopped")
+def test_stopped_replay_neither_passes_nor_replaces_the_expectation(expected, capsys):
     before = expected.read_bytes()
     for options in ((), ("--update",)):
-        monkeypatch.setattr("socast.tools.commands.replay.stop_on_signals", lambda: nullcontext(LateStop()))
         assert "stopped before the end" in refused(capsys, "replay", SHIFT, "--expect", expected, *options)
     assert expected.read_bytes() == before
     assert [path.name for path in expected.parent.iterdir()] == [expected.name]
+
+
+@pytest.mark.usefixtures("stopped")
+def test_stopped_replay_says_that_its_results_are_partial():
+    _, err, code = called("replay", SHIFT)
+    assert code == 0
+    assert "stopped before the end: the results are those of the messages so far" in err
 
 
 @pytest.mark.parametrize(
