@@ -231,12 +231,13 @@ def _check_source(path: Path, source: str) -> None:
         called = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
         if called in FORBIDDEN_CALLS:
             raise EffectError(f"{path}:{node.lineno}: calls {called}; compute an effect from its columns alone")  # type: ignore[attr-defined]
-    _check_functions(path, [node for node in tree.body if isinstance(node, ast.FunctionDef)])
+    _check_functions(path, [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)])
 
 
-def _check_functions(path: Path, functions: Sequence[ast.FunctionDef]) -> None:
+def _check_functions(path: Path, functions: Sequence[ast.FunctionDef | ast.AsyncFunctionDef]) -> None:
     """Refuse functions that are too many, have too many arguments, or hide one another."""
-    arguments = max((len(node.args.args) + len(node.args.kwonlyargs) for node in functions), default=0)
+    of_each = [[*each.args.posonlyargs, *each.args.args, *each.args.kwonlyargs] for each in functions]
+    arguments = max(map(len, of_each), default=0)
     for count, most, words in (
         (len(functions), MOST_FUNCTIONS, "functions in a file: divide it"),
         (arguments, MOST_ARGUMENTS, "arguments of a function: an effect is a function of a few columns"),
