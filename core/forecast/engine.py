@@ -292,7 +292,7 @@ class ForecastEngine:
         earlier.apply_daily_update()
         self.statistics.load(earlier.statistics.dump())
         self.state = create_filter_state(len(earlier.state))
-        for name in ("log_capacity", "begin_log_capacity", "car_capacity_variance", "p_cc"):
+        for name in ("log_capacity", "begin_log_capacity", "cold_loss", "car_capacity_variance", "p_cc"):
             self.state[name] = earlier.state[name]
         self.log.grow(len(self.state))
 

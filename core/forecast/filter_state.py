@@ -68,6 +68,7 @@ FILTER_STATE: Final = np.dtype(
         ("unplugged_distance", "f8"),  # driven in the shift by then [m]
         ("charged_soc", "f8"),  # last reading before the car departed after it [1]
         ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
+        ("cold_loss", "f8"),  # part of it that the cold of the shift takes [1]
         ("car_capacity_variance", "f8"),  # variance of the part of `c` that lasts, at the beginning of the shift
         ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
         ("usual_variance", "f8"),  # variance of that expectation

@@ -148,10 +148,12 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
 
 @njit(cache=False)
 def keep_capacity(state: Any) -> None:
-    """Keep the car's share of what the shift before has revealed of `c`; the rest was of that shift alone."""
+    """Keep the car's share of what the shift before has revealed of `c`; the rest and its cold were of that shift."""
     share = state.car_capacity_variance / (state.car_capacity_variance + SHIFT_CAPACITY_SD**2)
     revealed = state.car_capacity_variance + SHIFT_CAPACITY_SD**2 - state.p_cc
-    state.log_capacity = state.begin_log_capacity + share * (state.log_capacity - state.begin_log_capacity)
+    of_shift = state.log_capacity - state.begin_log_capacity
+    state.log_capacity = state.begin_log_capacity + state.cold_loss + share * of_shift
+    state.cold_loss = 0.0
     lasting = state.car_capacity_variance - share**2 * revealed + CAPACITY_AGEING**2
     state.car_capacity_variance = min(lasting, CAPACITY_SD**2)
     state.p_cc = state.car_capacity_variance + SHIFT_CAPACITY_SD**2
@@ -204,7 +206,9 @@ def update_with_totals(state: Any, event: Any) -> None:
         if isnan(state.level_sd) and not isnan(event.level_sd):
             state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
             state.usual += event.cold_loss
-            state.log_consumption += event.cold_loss
+            state.cold_loss = event.cold_loss
+            state.log_capacity -= event.cold_loss
+            state.begin_log_capacity -= event.cold_loss
             state.usual_variance += event.level_sd**2
             state.p_aa += event.level_sd**2
         awake = event.time - state.begin
