@@ -39,7 +39,13 @@ from socast.core.forecast.filter_state import (
     RUNNING,
     SHIFT_CAPACITY_SD,
 )
-from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
+from socast.core.forecast.kalman_update import (
+    LARGEST_LOG_CAPACITY,
+    LARGEST_LOG_CONSUMPTION,
+    apply_named_driver,
+    clip,
+    update_state,
+)
 from socast.core.forecast.learning import consumption_terms
 from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.soc_reading import (
@@ -205,10 +211,10 @@ def update_with_totals(state: Any, event: Any) -> None:
     if duration > 0.0:
         if isnan(state.level_sd) and not isnan(event.level_sd):
             state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
-            state.usual += event.cold_loss
-            state.cold_loss = event.cold_loss
-            state.log_capacity -= event.cold_loss
-            state.begin_log_capacity -= event.cold_loss
+            state.cold_loss = clip(event.cold_loss, LARGEST_LOG_CAPACITY)
+            state.usual += state.cold_loss
+            state.log_capacity -= state.cold_loss
+            state.begin_log_capacity -= state.cold_loss
             state.usual_variance += event.level_sd**2
             state.p_aa += event.level_sd**2
         awake = event.time - state.begin
