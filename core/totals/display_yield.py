@@ -326,7 +326,8 @@ def _is_still(rides: Totals, energy: Floats) -> NDArray[np.bool_]:
     Such a display may be frozen, also where no ride is long enough to tell: it teaches nothing until it moves.
     """
     least = find_quantum(rides) + STILL_SDS * np.sqrt(rides.display["reading_variance"])
-    return (rides.at_first("soc") == rides.at_last("soc")) & (np.abs(energy) * rides.display["inverse"] > least)
+    still = rides.at_first("soc") == rides.at_last("soc")
+    return np.asarray(still & (np.abs(energy) * rides.display["inverse"] > least))
 
 
 def find_contradictions(rides: Totals, learned: Floats, cars: Cars) -> NDArray[np.bool_]:

@@ -173,11 +173,13 @@ def _check_risk(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
     """Yield how good alarms are, how often told risks happened, and the Brier score beside that of the regression."""
     rows = tabulate_levels(cases)
     planned, rows = rows[rows["level"] == PLANNED], rows[rows["level"] != PLANNED]
-    for fell, what, goal in ((True, "caught", (0.98, 1.0)), (False, "false", (0.0, 0.02))):
-        mine = planned[planned["fell"] == fell]
+    for what, mine, bounds in (
+        ("caught", planned[planned["fell"]], (0.98, 1.0)),
+        ("false", planned[~planned["fell"]], (0.0, 0.02)),
+    ):
         if len(mine):
             words = f"alarm at a risk of {100 * ALARM:.0f} % for the reserve of the plan: {what}"
-            yield _share(fleet, words, goal, mine["risk"].to_numpy() >= ALARM, mine)
+            yield _share(fleet, words, bounds, mine["risk"].to_numpy() >= ALARM, mine)
     for (low, high), goal in {(0.05, 0.2): (0.03, 0.25), (0.5, 0.8): (0.45, 0.85)}.items():
         for column, name in {"risk": "", REGRESSION: " by the regression"}.items():
             told = rows[(rows[column] >= low) & (rows[column] < high)]

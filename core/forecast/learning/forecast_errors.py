@@ -217,8 +217,8 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
         scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
-        all_records = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting"))
-        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, *all_records, done))
+        time, ambient_c, driving, waiting = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting"))
+        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, time, ambient_c, driving, waiting, done))
     return out
 
 
