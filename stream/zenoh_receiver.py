@@ -25,6 +25,7 @@ from socast.stream.source import RecoveredMessage
 from socast.stream.structured_log import event_fields
 from socast.stream.zenoh_gaps import SampleGaps
 from socast.stream.zenoh_history import CacheHistory, merge_samples
+from socast.stream.zenoh_keys import KeyDeclarer, SampleKeys
 from socast.stream.zenoh_session import Node
 
 CHANNEL: Final = 1 << 12
@@ -35,7 +36,6 @@ BLOCK_BYTES: Final = 1 << 22
 """Size of samples that are taken at once, as far as the last samples predict it. [B]"""
 WATCH_S: Final = 1.0
 """Time between two checks of the number of connected routers. [s]"""
-_MOST_KEYS, _MOST_CHARACTERS, _LONGEST_KEY = 100_000, 1 << 23, 512  # that are remembered as text
 _NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.02 s
 _log = logging.getLogger("socast.zenoh")
 
@@ -74,39 +74,10 @@ class Received(NamedTuple):
     samples: int
 
 
-class _Keys(dict[Any, int]):
-    """Number the key expressions of messages, and make the text of each only once; forecasts, no input, have -1.
-
-    Attributes
-    ----------
-    texts : list of str
-        Text of each number. Once there are many, another list begins, and blocks of messages hold the one before.
-    """
-
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-        self._characters = 0
-
-    def __missing__(self, key: Any) -> int:
-        text = str(key)
-        number = -1 if text.endswith("/forecast") else len(self.texts)
-        if number >= 0:
-            self.texts.append(text)
-            self._characters += len(text)
-        if len(text) <= _LONGEST_KEY:
-            self[key] = number
-        return number
-
-    def find_text(self, key: Any) -> str:
-        """Return the text of a key expression; an empty one for forecasts."""
-        return self.texts[number] if (number := self[key]) >= 0 else ""
-
-    def begin_list_if_full(self, gaps: SampleGaps) -> None:
-        """Begin another list of texts where there are many, as strangers may make up keys."""
-        if len(self) >= _MOST_KEYS or self._characters >= _MOST_CHARACTERS:
-            self.clear()
-            gaps.forget()
-            self.texts, self._characters = [], 0
+def subscribe(session: zenoh.Session, keys: str, capacity: int) -> Any:
+    """Return a subscriber to samples of other sessions, with a channel of its own."""
+    channel: Any = handlers.FifoChannel(capacity)
+    return session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
 
 
 def adapt_nap(nap_s: float, fullness: float) -> float:
@@ -136,13 +107,14 @@ class ZenohReceiver:
 
     def __init__(self, node: Node) -> None:
         self._clock = ReceiptClock()
-        self._keys = _Keys()
+        self._declarer = KeyDeclarer(node.session)
+        self._keys = SampleKeys(self._declarer.add)
         self._gaps = SampleGaps()
         self._looked_s = time.monotonic()
         self._session = node.session
         self._routers = len(node.session.info.routers_zid())
         self._spaces = list_spaces(node)
-        self._subscribers = [self._subscribe(keys, CHANNEL) for keys in self._spaces]
+        self._subscribers = [subscribe(self._session, keys, CHANNEL) for keys in self._spaces]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._batches = self._receivers[-1] if shares_batches(node) else None
         self._brakes: list[Any] = []
@@ -171,7 +143,9 @@ class ZenohReceiver:
         if len(samples) < self._block:
             self._release_brake()
         self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
-        self._keys.begin_list_if_full(self._gaps)
+        if self._keys.begin_list_if_full():
+            self._gaps.forget()
+            self._declarer.forget()
         messages, recovered = self._order(samples, stopping=stopping)
         if size := messages.size:
             self._block = max(1, min(BLOCK, BLOCK_BYTES * len(messages) // size))
@@ -184,13 +158,14 @@ class ZenohReceiver:
         Zenoh hands each sample to all subscribers, and waits where a channel of one sample cannot take the second one.
         """
         if not self._brakes:
-            self._brakes = [self._subscribe(keys, 1) for keys in self._spaces]
+            self._brakes = [subscribe(self._session, keys, 1) for keys in self._spaces]
 
     def end(self) -> None:
         """Receive nothing more; what has arrived can still be taken. A second call has no effect."""
         self._release_brake()
         while self._subscribers:
             self._subscribers.pop().undeclare()
+        self._declarer.close()
         if self._history is not None:
             self._history.close()
 
@@ -266,8 +241,3 @@ class ZenohReceiver:
             )
             _log.log(level, event, extra=event_fields(routers=routers))
             self._routers = routers
-
-    def _subscribe(self, keys: str, capacity: int) -> Any:
-        """Return a subscriber with its own channel."""
-        channel: Any = handlers.FifoChannel(capacity)
-        return self._session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)

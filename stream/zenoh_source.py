@@ -15,7 +15,7 @@ from typing import Final
 
 from socast.core.settings import Limits
 from socast.core.wire.message_block import MessageBlock
-from socast.stream.message_queue import MessageQueue
+from socast.stream.message_queue import MOST_MESSAGES, MessageQueue
 from socast.stream.source import LOOK_UP_S
 from socast.stream.zenoh_receiver import ZenohReceiver
 from socast.stream.zenoh_session import Node
@@ -169,9 +169,11 @@ class ZenohSource:
         if (now := time.monotonic()) - self._warned_full_s > FULL_LOG_S:
             self._warned_full_s = now
             _log.warning(
-                "the consumer is behind: %s messages of %s bytes are queued, limit %s bytes (--max-queue-bytes), and "
-                "publishers must wait; send lists of fewer samples, or give the consumer a faster processor",
+                "the consumer is behind: %s messages of %s bytes are queued, limits %s messages and %s bytes "
+                "(--max-queue-bytes), and publishers must wait; send lists of fewer samples, or give the consumer a "
+                "faster processor",
                 f"{self.queue_messages:,}",
                 f"{self.queue_bytes:,}",
+                f"{MOST_MESSAGES:,}",
                 f"{self._most_bytes:,.0f}",
             )

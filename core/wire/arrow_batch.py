@@ -12,7 +12,8 @@ time are bounded by its size, and nothing is expanded before its size is checked
 """
 
 import struct
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from math import inf
 from typing import Any, Final, NamedTuple
 
@@ -42,6 +43,11 @@ _COUNT_PLACES: Final = tuple(POSITION[name] for name in _COUNTS)
 _TIME: Final = POSITION["time_s"]
 _NAN_BITS: Final = np.array([np.nan]).view(np.uint64)[0]
 _MOST_COUNT: Final = 2.0**53
+_LARGEST_HEAD: Final = 1 << 16
+"""Largest size of a schema that is remembered. [B]"""
+_FLOAT: Final = pa.float64()
+_NEITHER: Final = pa.bool_(), pa.null(), pa.float16()
+"""Types that numpy cannot take over as numbers."""
 _DAMAGE: Final = (pa.ArrowException, ValueError, TypeError, LookupError, OSError, MemoryError, struct.error)
 
 
@@ -113,37 +119,36 @@ class BatchReader:
 
 def read_rows(payload: bytes, most: float) -> ArrowRows:
     """Return the samples of a batch."""
-    table = _read_table(payload, most)
-    names = table.column_names
-    if not {"vehicle_id", "time_s"} <= set(names):
+    columns = _read_columns(payload, most)
+    if not {"vehicle_id", "time_s"} <= columns.keys():
         raise BatchError("wrong_type")
-    values = np.full((len(Batch._fields), table.num_rows), np.nan)
+    count = sum(map(len, columns["time_s"]))
+    values = np.full((len(Batch._fields), count), np.nan)
     try:
         for name in _NUMBERS:
-            if name in names:
-                values[POSITION[name]] = _read_numbers(table.column(name))
-        vehicles, rides = _read_texts(table, "vehicle_id"), _read_texts(table, "ride_id")
+            if name in columns:
+                values[POSITION[name]] = _read_numbers(columns[name])
+        vehicles, rides = (_read_texts(columns.get(name, []), _LONGEST[name], count) for name in _NAMES)
     except _DAMAGE as error:
         raise BatchError("not_arrow") from error
-    is_usable = np.empty(table.num_rows, np.bool_)
+    is_usable = np.empty(count, np.bool_)
     _check_rows(values, values.view(np.uint64), is_usable)
     return ArrowRows(values, vehicles, rides, is_usable & vehicles.is_known)
 
 
 def read_times(payload: bytes, most: float) -> Floats:
     """Return the time of each row of a batch, NaN where unknown, without a look at other columns. [Unix s]"""
-    table = _read_table(payload, most, ("time_s",))
-    if table.num_columns != 1:
-        raise BatchError("wrong_type")
+    columns = _read_columns(payload, most, ("time_s",))
     try:
-        return _read_numbers(table.column(0))
+        return _read_numbers(columns["time_s"])
     except _DAMAGE as error:
         raise BatchError("not_arrow") from error
 
 
 def select_rows(payload: bytes, mask: Sequence[bool]) -> bytes:
     """Return a batch with some of its rows only, and without columns that are no fields of telemetry."""
-    return write_rows(_read_table(payload, inf).filter(pa.array(mask)))
+    columns = {name: pa.chunked_array(chunks) for name, chunks in _read_columns(payload, inf).items()}
+    return write_rows(pa.table(columns).filter(pa.array(mask)))
 
 
 def write_rows(table: pa.Table) -> bytes:
@@ -161,28 +166,34 @@ def write_rows(table: pa.Table) -> bytes:
     return payload
 
 
-def _read_table(payload: bytes, most: float, names: Collection[str] = POSITION) -> pa.Table:
-    """Return the columns of a batch that have one of some names, checked."""
+def _read_columns(payload: bytes, most: float, names: tuple[str, ...] = tuple(POSITION)) -> dict[str, list[pa.Array]]:
+    """Return the parts of each column of a batch that has one of some names, checked."""
     try:
         _check_parts(payload)
-        with pa.ipc.open_stream(pa.py_buffer(payload)) as reader:
-            kept = _select_columns(reader.schema, names)
-        batches = list(_read_batches(payload, min(most, len(payload) / LEAST_ROW), kept))
+        head = payload[: 8 + struct.unpack_from("<i", payload, 4)[0]]
+        select = _select_columns if len(head) <= _LARGEST_HEAD else _select_columns.__wrapped__
+        kept = select(head, names)
+        parts = list(_read_batches(payload, min(most, len(payload) / LEAST_ROW), kept))
     except BatchError:
         raise
     except _DAMAGE as error:
         raise BatchError("not_arrow") from error
-    if not any(batch.num_rows for batch in batches):
+    if not any(len(part[0]) for part in parts):
         raise BatchError("empty_list")
-    return pa.Table.from_batches(batches)
+    return {name: [part[at] for part in parts] for at, name in enumerate(kept)}
 
 
-def _select_columns(schema: pa.Schema, names: Collection[str]) -> list[int]:
-    """Return the places of the columns with one of some names: one or more, each name once, of a type that is read."""
+@lru_cache(maxsize=64)
+def _select_columns(head: bytes, names: tuple[str, ...]) -> dict[str, int]:
+    """Return the columns with one of some names and their places: one or more, each name once, of a type that is read.
+
+    `head` is the first part of a batch, its schema. The batches of a gateway have the same, which is read once.
+    """
+    schema = pa.ipc.read_schema(pa.py_buffer(head))
     kept = [i for i, name in enumerate(schema.names) if name in names]
     if not kept or len({schema.names[i] for i in kept}) < len(kept) or not all(_is_read(schema.field(i)) for i in kept):
         raise BatchError("wrong_type")
-    return kept
+    return {schema.names[i]: i for i in kept}
 
 
 def _is_read(field: pa.Field) -> bool:
@@ -198,55 +209,56 @@ def _is_read(field: pa.Field) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
-def _read_batches(payload: bytes, most: float, kept: list[int]) -> Iterator[pa.RecordBatch]:
-    """Yield the parts of a batch with some columns only; refuse it at the part that exceeds the number of rows."""
+def _read_batches(payload: bytes, most: float, kept: dict[str, int]) -> Iterator[list[pa.Array]]:
+    """Yield some columns of the parts of a batch; refuse it at the part that exceeds the number of rows."""
     rows = 0
-    options = pa.ipc.IpcReadOptions(included_fields=kept)
+    options = pa.ipc.IpcReadOptions(included_fields=list(kept.values()))
     with pa.ipc.open_stream(pa.py_buffer(payload), options=options) as reader:
         for batch in reader:
             rows += batch.num_rows
             if rows > most:
                 raise BatchError("too_many_samples")
             batch.validate()
-            for column in batch.columns:  # a dictionary is checked once, not for each part, see `_read_texts`
+            columns = batch.columns
+            for column in columns:  # a dictionary is checked once, not for each part, see `_read_texts`
                 (column.indices if pa.types.is_dictionary(column.type) else column).validate(full=True)
-            yield batch
+            yield columns
 
 
-def _read_numbers(column: pa.ChunkedArray) -> Floats:
+def _read_numbers(chunks: list[pa.Array]) -> Floats:
     """Return a column of numbers, NaN where unknown."""
-    if column.type == pa.float64():
-        return np.asarray(column.to_numpy())
-    if pa.types.is_null(column.type):
-        return np.full(len(column), np.nan)
-    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), np.float64)
+    parts = [
+        (chunk.cast(_FLOAT) if chunk.type in _NEITHER else chunk).to_numpy(zero_copy_only=False) for chunk in chunks
+    ]
+    return np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts), np.float64)
 
 
-class _Dictionary(NamedTuple):
-    """Locate n different texts among those of a column; a place after the last is of no text."""
-
-    places: Ints  # (n + 2,) begin of each text, and the end of the last one twice
-    is_known: NDArray[np.bool_]  # (n + 1,)
-
-
-def _read_texts(table: pa.Table, name: str) -> Texts:
+def _read_texts(chunks: list[pa.Array], longest: int, count: int) -> Texts:
     """Return a column of text, with no more of each than shows that it is too long."""
-    count = table.num_rows
-    if name not in table.column_names or pa.types.is_null(table.column(name).type):
-        none = np.zeros(count, np.int32)
-        return Texts(none, none, np.zeros(1, np.uint8), np.zeros(count, np.bool_))
-    chunks = table.column(name).chunks
-    if pa.types.is_dictionary(table.column(name).type):
+    places, sizes, is_known = np.zeros(count, np.int32), np.zeros(count, np.int32), np.zeros(count, np.bool_)
+    if not chunks or pa.types.is_null(chunks[0].type):
+        return Texts(places, sizes, np.zeros(1, np.uint8), is_known)
+    if pa.types.is_dictionary(chunks[0].type):
         values, number = _join_dictionaries(chunks)
     else:
-        values, number = pa.concat_arrays(chunks), np.arange(count)
+        values, number = _join(chunks), np.arange(count)
     _, ends, text = values.buffers()
     kind = np.int64 if pa.types.is_large_string(values.type) else np.int32
-    ends = np.frombuffer(ends, kind, len(values) + 1, values.offset * kind().itemsize) if len(values) else [0]
-    ends = np.append(ends, ends[-1]).astype(np.int32)  # a row without a text has the place after the last one
-    is_known = np.append(values.is_valid().to_numpy(zero_copy_only=False), np.False_)[number]
-    sizes = np.minimum(np.diff(ends), _LONGEST[name] + 1)[number]
-    return Texts(ends[number], np.where(is_known, sizes, 0), np.frombuffer(text or bytes(1), np.uint8), is_known)
+    ends = np.frombuffer(ends, kind, len(values) + 1, values.offset * kind().itemsize) if len(values) else np.zeros(1)
+    _locate_texts(number, ends.astype(np.int32), _find_known(values), longest, places, sizes, is_known)
+    return Texts(places, sizes, np.frombuffer(text or bytes(1), np.uint8), is_known)
+
+
+def _join(chunks: list[pa.Array]) -> pa.Array:
+    """Return the parts of a column as one; a single part is not copied."""
+    return chunks[0] if len(chunks) == 1 else pa.concat_arrays(chunks)
+
+
+def _find_known(values: pa.Array) -> NDArray[np.bool_]:
+    """Return which values of a column are known."""
+    if not values.null_count:
+        return np.ones(len(values), np.bool_)
+    return np.asarray(values.is_valid().to_numpy(zero_copy_only=False))
 
 
 def _join_dictionaries(chunks: list[pa.DictionaryArray]) -> tuple[pa.Array, Ints]:
@@ -266,12 +278,12 @@ def _join_dictionaries(chunks: list[pa.DictionaryArray]) -> tuple[pa.Array, Ints
             last, begin, end = memory, end, end + len(values)
         firsts[at], counts[at] = begin, len(values)
     sizes = [len(chunk) for chunk in chunks]
-    codes = pa.concat_arrays([chunk.indices for chunk in chunks])
-    is_known = codes.is_valid().to_numpy(zero_copy_only=False)
+    codes = _join([chunk.indices for chunk in chunks])
+    is_known = _find_known(codes)
     number: Ints = codes.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
     if (((number < 0) | (number >= np.repeat(counts, sizes))) & is_known).any():
         raise ValueError("a code of a text that its dictionary lacks")
-    return pa.concat_arrays(dictionaries), np.where(is_known, number + np.repeat(firsts, sizes), end)
+    return _join(dictionaries), np.where(is_known, number + np.repeat(firsts, sizes), end)
 
 
 def _check_parts(payload: bytes) -> None:
@@ -346,6 +358,17 @@ def _check_rows(values: Any, bits: Any, is_usable: Any) -> None:
                 bits[k, i] = _NAN_BITS
             elif np.isinf(value) or (is_count and not (0.0 <= value <= _MOST_COUNT and value == np.floor(value))):
                 is_usable[i] = False
+
+
+@njit(cache=True)
+def _locate_texts(number: Any, ends: Any, is_value: Any, longest: int, places: Any, sizes: Any, is_known: Any) -> None:
+    """Write the place and size of the text of each row among n values; number n is that of none."""
+    for i in range(len(number)):
+        k = number[i]
+        places[i] = ends[k]
+        is_known[i] = k < len(is_value) and is_value[k]
+        if is_known[i]:
+            sizes[i] = min(ends[k + 1] - ends[k], longest + 1)
 
 
 @njit(cache=True)

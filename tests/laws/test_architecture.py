@@ -52,7 +52,7 @@ ORDER = (
 MOST_PACKAGES, MOST_MODULES, MOST_LINES = 14, 10, 499
 ONLY_IN = {
     "zenoh": r"stream/zenoh_\w+\.py",
-    "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",
+    "mcap": r"stream/mcap_\w+\.py|tools/bench/replay\.py",
     "rasterio": r"stream/elevation_tiles\.py",
     "paho": r"stream/mqtt_\w+\.py",
 }

@@ -10,16 +10,16 @@ from rich.progress import Progress
 
 from socast.tools.bench.figures.published import publish, show_table, write_table
 from socast.tools.bench.filters import measure_daily_update, measure_filters
-from socast.tools.bench.live import measure_batches, measure_live, measure_security
+from socast.tools.bench.live import measure_live, measure_security
 from socast.tools.bench.measures import (
     Measure,
     measure_arrays,
     measure_fit,
     measure_fit_memory,
-    measure_replay,
     measure_scale,
     measure_start,
 )
+from socast.tools.bench.replay import measure_decoding, measure_replay, measure_small_blocks
 
 HEADS: Final = ("what", "against", "ratio", "goal", "")
 STARTS: Final = (
@@ -28,11 +28,12 @@ STARTS: Final = (
     ("effects list", 50.0, "A third is importing numpy, a fifth typer with its validation, a tenth rich."),
 )
 """Words of a command, the largest ratio of its start to that of the interpreter, and what limits it."""
-MEASURES: tuple[Callable[[], Measure], ...] = (
+MEASURES: Final[tuple[Callable[[], Measure | list[Measure]], ...]] = (
     measure_live,
-    measure_batches,
     measure_security,
     measure_replay,
+    measure_decoding,
+    measure_small_blocks,
     measure_arrays,
     measure_scale,
     measure_filters,
@@ -47,7 +48,8 @@ def main() -> None:
     """Run every measure, print the ratios, and publish them."""
     argparse.ArgumentParser(prog="python -m socast.tools.bench", description=__doc__).parse_args()
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
+        results = [measure() for measure in progress.track(MEASURES, description="measuring")]
+    measures = [each for result in results for each in (result if isinstance(result, list) else [result])]
     show_table("Ratios of speed, measured in turn in one run", HEADS, list_rows(measures), "--n--")
     publish("speed", "make bench", make_lines(measures))
 
@@ -73,8 +75,8 @@ def make_lines(measures: list[Measure]) -> list[str]:
     ]
     for measure in measures:
         figures = ", ".join(f"{name} {value:,.3g}" for name, value in measure.figures.items())
-        figures = figures.replace("e+05", "e5").replace("e+06", "e6")
-        lines += ["", f"**{measure.name[0].upper()}{measure.name[1:]}** ({figures}). {measure.bound}"]
+        figures = f" ({figures})".replace("e+05", "e5").replace("e+06", "e6") if figures else ""
+        lines += ["", f"**{measure.name[0].upper()}{measure.name[1:]}**{figures}. {measure.bound}"]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Measure the live consumer on a stream from another process: against an idle subscriber, and with certificates."""
+"""Measure the live consumer on a stream from another process: against others, in batches, and with all it can keep."""
 
 import json
 import multiprocessing
@@ -6,7 +6,8 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from itertools import cycle
+from functools import partial
+from itertools import cycle, islice
 from multiprocessing.synchronize import Event as ProcessEvent
 from pathlib import Path
 from threading import Event
@@ -21,11 +22,15 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.arrow_batch import write_rows
 from socast.core.wire.messages import Message
-from socast.stream.loop import PUBLISH_S, Tally, run
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run
+from socast.stream.recorder import Recorder
+from socast.stream.state_file import StateFile
+from socast.stream.zenoh_receiver import BLOCK, CHANNEL, subscribe
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
-from socast.tools.bench.measures import Measure, alternate_timings, make_rounds, make_vehicles, name_car
+from socast.tools.bench.measures import Measure, make_rounds, make_vehicles, name_car
 from socast.tools.security.access import make_access_control
 from socast.tools.security.folder import SecureFolder
 
@@ -133,16 +138,47 @@ def make_idle_consumer(cars: int, turns: int) -> Consumer:
         with node.session.declare_subscriber("fleet/*/telemetry", notice):
             wait_until(lambda: ready.is_set() and seen == cars * WARM_UP)
             time.sleep(SETTLE_S)
-            began = _read_clocks()
+            began = read_clocks()
             go.set()
             wait_until(lambda: seen == cars * (WARM_UP + turns))
-            return Cost(*(_read_clocks() - began).tolist())
+            return Cost(*(read_clocks() - began).tolist())
 
     return consume
 
 
-def make_full_consumer(cars: int, turns: int) -> Consumer:
-    """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts."""
+def make_bare_consumer(cars: int, turns: int) -> Consumer:
+    """Return a consumer that takes the key and the bytes of each sample out of a channel, and no more."""
+
+    def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> Cost:
+        seen = 0
+
+        def take(receive: Callable[[], Any]) -> None:
+            nonlocal seen
+            taken = [(each.key_expr, each.payload.to_bytes()) for each in islice(iter(receive, None), BLOCK)]
+            seen += len(taken)
+
+        with subscribe(node.session, "fleet/*/telemetry", CHANNEL) as subscriber:
+            receive = subscriber.handler.try_recv
+
+            def has_seen(samples: int) -> bool:
+                take(receive)
+                return seen == samples
+
+            wait_until(lambda: has_seen(cars * WARM_UP) and ready.is_set())
+            time.sleep(SETTLE_S)
+            began = read_clocks()
+            go.set()
+            wait_until(lambda: has_seen(cars * (WARM_UP + turns)))
+            return Cost(*(read_clocks() - began).tolist())
+
+    return consume
+
+
+def make_full_consumer(cars: int, turns: int, *, keeps: bool = False) -> Consumer:
+    """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts.
+
+    With `keeps` it also records every message and saves its state.
+    """
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> Cost:
         stop = Event()
@@ -159,21 +195,35 @@ def make_full_consumer(cars: int, turns: int) -> Consumer:
             if began is None and ready.is_set() and received == cars * WARM_UP:
                 settled = settled or time.monotonic() + SETTLE_S
             if began is None and settled and time.monotonic() > settled:
-                began = _read_clocks()
+                began = read_clocks()
                 go.set()
             elif began is not None and received == cars * (WARM_UP + turns):
-                wall_s = wall_s or float((_read_clocks() - began)[0])
+                wall_s = wall_s or float((read_clocks() - began)[0])
                 stop.set()
 
-        source = ZenohSource(node, stop)
-        run(source, pipeline, [LatestOnlySink(ZenohSink(node))], publish_s=PUBLISH_S, watch=watch)
+        sink = LatestOnlySink(ZenohSink(node))
+        with ExitStack() as ending:
+            recorder = checkpoints = None
+            if keeps:
+                folder = Path(ending.enter_context(tempfile.TemporaryDirectory()))
+                recorder = ending.enter_context(Recorder(folder / "kept"))
+                state = ending.enter_context(StateFile(folder / "fleet.state"))
+                checkpoints = Checkpoints(pipeline, state, recorder)
+            run(
+                ZenohSource(node, stop),
+                pipeline,
+                [sink, checkpoints] if checkpoints else [sink],
+                recorder=recorder,
+                publish_s=PUBLISH_S,
+                watch=combine_watches(watch, checkpoints) if checkpoints else watch,
+            )
         assert began is not None
-        return Cost(wall_s, float((_read_clocks() - began)[1]))
+        return Cost(wall_s, float((read_clocks() - began)[1]))
 
     return consume
 
 
-def _read_clocks() -> Floats:
+def read_clocks() -> Floats:
     """Return a time and the processor time of this process, (2,). [s]"""
     return np.array([time.perf_counter(), time.process_time()])
 
@@ -187,43 +237,64 @@ def wait_until(until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
-    """Measure the live consumer, from decoding to published forecast, against an idle subscriber."""
-    total = cars * turns
-    idle_s, busy_s = alternate_timings(
-        lambda: time_stream(connect_plainly(), cars, turns, make_idle_consumer(cars, turns)).wall_s,
-        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns)).wall_s,
-        repeats,
-    )
-    return Measure(
-        f"live consumer, decode to forecast, {cars:,} cars",
-        "an idle Zenoh subscriber",
-        idle_s / busy_s,
-        ">= 0.8",
-        {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
-        "Both cores are busy. Per sample, the pipeline takes 2.5 us of processor time, taking samples out of Zenoh and "
-        "into columns 1.3 us (five objects of zenoh-python each), Zenoh's receiving thread 1.4 us, and the publisher 2 "
-        "us, or 4 us while a full channel blocks it.",
-    )
+def compare_consumers(streams: Sequence[Callable[[], Cost]], repeats: int) -> list[Cost]:
+    """Return the median costs of taking streams in turn."""
+    rounds = [[stream() for stream in streams] for _ in range(repeats)]
+    return [Cost(*costs) for costs in np.median(rounds, axis=0).tolist()]
 
 
-def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Measure:
-    """Measure the live consumer with batches of a gateway, against the same samples one by one in JSON."""
+def _time_plainly(cars: int, turns: int, consume: Consumer, *, batched: bool = False) -> Cost:
+    """Return what a consumer takes for a stream of one session over plain TCP."""
+    return time_stream(connect_plainly(), cars, turns, consume, batched=batched)
+
+
+def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> list[Measure]:
+    """Measure the live consumer against an idle subscriber and a bare reader of a channel, and with batches."""
     total = cars * turns
-    single_s, batch_s = alternate_timings(
-        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns)).wall_s,
-        lambda: time_stream(connect_plainly(), cars, turns, make_full_consumer(cars, turns), batched=True).wall_s,
-        repeats,
-    )
-    return Measure(
-        f"live consumer, batches of {BATCH_ROWS:,} samples in Arrow's format",
-        "the same samples one by one in JSON",
-        single_s / batch_s,
-        ">= 5",
-        {"batched_samples_per_s": total / batch_s, "single_samples_per_s": total / single_s},
-        "The steps over arrays, the filters and the forecasts take three quarters of the time of a batch in the "
-        "pipeline, and they are the same for both.",
-    )
+    consumers = [make(cars, turns) for make in (make_idle_consumer, make_bare_consumer, make_full_consumer)]
+    streams = [partial(_time_plainly, cars, turns, consumer) for consumer in consumers]
+    streams.append(partial(_time_plainly, cars, turns, consumers[-1], batched=True))
+    idle, bare, full, batched = compare_consumers(streams, repeats)
+    cpu = {
+        f"{name}_cpu_us": cost.cpu_s / total * 1e6 for name, cost in (("idle", idle), ("bare", bare), ("live", full))
+    }
+    name = f"live consumer, decode to forecast, {cars:,} cars"
+    return [
+        Measure(
+            name,
+            "an idle Zenoh subscriber",
+            idle.wall_s / full.wall_s,
+            ">= 0.8",
+            {"live_samples_per_s": total / full.wall_s, "idle_samples_per_s": total / idle.wall_s},
+            "Both cores are busy: the publisher takes one of them, and the consumer's threads the other.",
+        ),
+        Measure(
+            f"processor time of a sample in the {name}",
+            "in an idle subscriber",
+            full.cpu_s / idle.cpu_s,
+            "<= 1.4",
+            cpu,
+            "Zenoh's receiving threads take as much as in the idle subscriber. Taking a sample as objects of "
+            "zenoh-python and into columns costs as much again, and the pipeline twice as much.",
+        ),
+        Measure(
+            f"processor time of a sample in the {name}",
+            "in a reader that takes keys and bytes out of a channel",
+            full.cpu_s / bare.cpu_s,
+            "<= 1.8",
+            {},
+            "As above. The reader is what Python takes at least for a sample that is used.",
+        ),
+        Measure(
+            f"live consumer, batches of {BATCH_ROWS:,} samples in Arrow's format",
+            "an idle subscriber of the same samples one by one",
+            idle.wall_s / batched.wall_s,
+            ">= 1.8",
+            {"batched_samples_per_s": total / batched.wall_s, "batched_cpu_us": batched.cpu_s / total * 1e6},
+            "The pipeline limits it, in one thread. The steps over arrays, the filters and the forecasts take three "
+            "quarters of its time, and they are the same for samples one by one.",
+        ),
+    ]
 
 
 def connect(way: str, folder: SecureFolder, cars: int) -> tuple[Connection, list[Connection]]:
@@ -246,31 +317,46 @@ def make_folder(path: Path, cars: int) -> SecureFolder:
     return folder
 
 
-def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Measure:
-    """Measure the live consumer with certificates and access control against the same with plain TCP."""
+def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> list[Measure]:
+    """Measure the live consumer with certificates and access control, and with a recording and a state besides."""
     total = cars * turns
     with tempfile.TemporaryDirectory() as temporary:
         folder = make_folder(Path(temporary) / "keys", cars)
         consume = make_full_consumer(cars, turns)
-        timings = [
-            [time_stream(connect(way, folder, cars), cars, turns, consume) for way in WAYS] for _ in range(repeats)
-        ]
-    plain, certificates, rules = (Cost(*costs) for costs in np.median(timings, axis=0))
-    ratio = plain.wall_s / rules.wall_s
-    return Measure(
-        f"live consumer with certificates and access control, {FLEET:,} cars",
-        "the same with plain TCP",
-        ratio,
-        ">= 0.8",
-        {
-            "plain_samples_per_s": total / plain.wall_s,
-            "secured_samples_per_s": total / rules.wall_s,
-            "ratio_of_certificates_alone": plain.wall_s / certificates.wall_s,
-            "plain_cpu_us": plain.cpu_s / total * 1e6,
-            "certificates_cpu_us": certificates.cpu_s / total * 1e6,
-            "secured_cpu_us": rules.cpu_s / total * 1e6,
-        },
-        "Each car has a session of its own. Publisher and consumer keep both cores busy. Zenoh decrypts in its own "
-        "threads and keeps the permission of each declared key, so that Python takes most of the time in either case. "
-        "The CPU times are those of the process with consumer and router, per sample.",
-    )
+        ways = [("plain", make_idle_consumer(cars, turns)), *((way, consume) for way in WAYS)]
+        ways.append(("rules", make_full_consumer(cars, turns, keeps=True)))
+        streams = [partial(_time_way, way, folder, cars, turns, consumer) for way, consumer in ways]
+        idle, plain, certificates, rules, kept = compare_consumers(streams, repeats)
+    return [
+        Measure(
+            f"live consumer with certificates and access control, {FLEET:,} cars",
+            "the same with plain TCP",
+            plain.wall_s / rules.wall_s,
+            ">= 0.8",
+            {
+                "plain_samples_per_s": total / plain.wall_s,
+                "secured_samples_per_s": total / rules.wall_s,
+                "ratio_of_certificates_alone": plain.wall_s / certificates.wall_s,
+                "plain_cpu_us": plain.cpu_s / total * 1e6,
+                "certificates_cpu_us": certificates.cpu_s / total * 1e6,
+                "secured_cpu_us": rules.cpu_s / total * 1e6,
+            },
+            "Each car has a session of its own. Publisher and consumer keep both cores busy. Zenoh decrypts in its own "
+            "threads and keeps the permission of each declared key, so that Python takes most of the time in either "
+            "case. The CPU times are those of the process with consumer and router, per sample.",
+        ),
+        Measure(
+            "the same with a recording and a state",
+            "an idle subscriber with plain TCP",
+            idle.wall_s / kept.wall_s,
+            ">= 0.7",
+            {"kept_samples_per_s": total / kept.wall_s, "kept_cpu_us": kept.cpu_s / total * 1e6},
+            "As above. The recording takes a fifth of the time of the pipeline; each of the cars' sessions publishes "
+            "from the one process of the publisher.",
+        ),
+    ]
+
+
+def _time_way(way: str, folder: SecureFolder, cars: int, turns: int, consume: Consumer) -> Cost:
+    """Return what a consumer takes for a stream from the sessions of cars."""
+    return time_stream(connect(way, folder, cars), cars, turns, consume)

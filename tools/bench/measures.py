@@ -1,4 +1,4 @@
-"""Make streams of many cars, and measure replay, arrays, the scale of the fleet, fits and the start of commands."""
+"""Make streams of many cars, and measure arrays, the scale of the fleet, fits and the start of commands."""
 
 import gc
 import subprocess
@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from mcap.reader import make_reader
 from sklearn.linear_model import LinearRegression
 
 from socast.core import effects
@@ -32,8 +31,6 @@ from socast.core.totals.sample_totals import BLOCK
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message, Telemetry, Vehicle, encode
 from socast.stream.loop import feed
-from socast.stream.mcap_reader import McapSource
-from socast.stream.mcap_writer import McapSink
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import Simulation
 from socast.tools.terminal.ride_source import ROW_GROUP
@@ -157,10 +154,10 @@ def time_action(action: Callable[[], object]) -> float:
         gc.enable()
 
 
-def alternate_timings(first: Callable[[], float], second: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Return the medians of two timings taken in turn, so that noise of the machine affects both equally."""
-    pairs = [(first(), second()) for _ in range(repeats)]
-    return median(a for a, _ in pairs), median(b for _, b in pairs)
+def alternate_timings(*timings: Callable[[], float], repeats: int) -> list[float]:
+    """Return the medians of timings taken in turn, so that noise of the machine affects all equally."""
+    rounds = [[timing() for timing in timings] for _ in range(repeats)]
+    return [median(each) for each in zip(*rounds, strict=True)]
 
 
 def cut_blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
@@ -174,40 +171,6 @@ def tabulate(messages: Sequence[Message], size: int = BLOCK, **options: Any) -> 
     for _ in feed(cut_blocks(messages, size), pipeline):
         pass
     return pipeline.take_rides(), pipeline.take_windows()
-
-
-def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
-    """Measure reading, decoding, cleaning and forecasting a recording, against iterating it with the bare reader."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.mcap"
-        with McapSink(path) as sink:
-            sink.put(make_vehicles(cars))
-            for messages in make_rounds(cars, 0, turns):
-                sink.put(messages)
-        n = cars * turns
-
-        def bare() -> None:
-            with path.open("rb") as file:
-                for _ in make_reader(file).iter_messages():
-                    pass
-
-        def whole() -> None:
-            pipeline = Pipeline(EXTENDED_PHYSICAL)
-            for _ in feed(McapSource(path), pipeline):
-                pipeline.forecasts()
-
-        whole()
-        bare_s, whole_s = alternate_timings(lambda: time_action(bare), lambda: time_action(whole), repeats)
-    return Measure(
-        "replay at full speed, file to forecasts",
-        "iterating the bare mcap reader",
-        bare_s / whole_s,
-        ">= 3",
-        {"replay_us_per_sample": whole_s / n * 1e6, "bare_us_per_sample": bare_s / n * 1e6},
-        "Reading takes a twelfth of the time of a replayed sample, decoding a seventh, the filter of repetitions a "
-        "thirtieth, the steps over arrays a quarter, and the filters and forecasts with their JSON two fifths. The "
-        "bare reader makes an object of every record.",
-    )
 
 
 def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
@@ -299,7 +262,7 @@ def measure_start(words: str, goal: float, bound: str) -> Measure:
     for arguments in (BARE, command):
         _run(*arguments)  # the first run compiles modules to byte code
     bare_s, command_s = alternate_timings(
-        lambda: time_action(lambda: _run(*BARE)), lambda: time_action(lambda: _run(*command)), REPEATS
+        lambda: time_action(lambda: _run(*BARE)), lambda: time_action(lambda: _run(*command)), repeats=REPEATS
     )
     ratio = command_s / bare_s
     return Measure(
@@ -327,7 +290,7 @@ def measure_fit(repeats: int = 3) -> Measure:
         write_rides(path, _simulated(), MANY)
         model = recipe.fit_parquet(path)
         ours, plain = alternate_timings(
-            lambda: time_action(lambda: recipe.fit_parquet(path)), lambda: _plain(model, path), repeats
+            lambda: time_action(lambda: recipe.fit_parquet(path)), lambda: _plain(model, path), repeats=repeats
         )
     return Measure(
         f"fitting {RECIPE} to {MANY:,} rides, file to model",

@@ -63,6 +63,7 @@ MEASUREMENTS: Final = {
     ),
     "real-cars": Measurement(15, (f"{_BENCH}.real_cars", "--publish", "--keep", "build/real")),
     "league": Measurement(5, (f"{_BENCH}.league", "--publish", "--drives", "10000")),
+    "live-cost": Measurement(2, (f"{_BENCH}.live_cost", "--publish")),
     "speed": Measurement(10, (_BENCH,)),
 }
 """Measurements by the name of their block. Ratios of speed come last, when nothing else runs."""
