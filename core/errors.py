@@ -10,6 +10,7 @@ import select
 import stat
 from collections.abc import Iterable
 from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -88,7 +89,10 @@ def read_input(path: Path, limit: int = LARGEST_INPUT) -> bytes:
     """
     with open(path, "rb", opener=_open_soon) as file:
         size = os.fstat(file.fileno()).st_size  # zero for a pipe
-        content = file.read(limit + 1) if size <= limit else b""
+        limit = min(limit, max(size, LARGEST_INPUT))
+        step = size + 1 if size else 1 << 20  # for what is read, memory is taken at once
+        pieces = islice(iter(lambda: file.read(step), b""), limit // step + 1 if size <= limit else 0)
+        content = b"".join(pieces)
     if (size := max(size, len(content))) > limit:
         raise OSError(errno.EFBIG, f"it has {size:,} bytes or more, above the limit of {limit:,}", str(path))
     return content

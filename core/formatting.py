@@ -111,6 +111,28 @@ def _to(value: float, digits: int, scale: float) -> str:
     return f"{round(value, places):.{max(places, 0)}f}"
 
 
+def word_since(since: str, interval: tuple[str, str]) -> str:
+    """Return the ISO date of a change in words, with the interval of it; years are told once.
+
+    Examples
+    --------
+    >>> word_since("2018-11-14", ("2018-11-12", "2018-11-16"))
+    'since 14 November 2018 (12 to 16 November)'
+    >>> word_since("2018-11-14", ("2018-11-14", "2018-11-14"))
+    'since 14 November 2018'
+    """
+    day, low, high = (datetime.fromisoformat(each) for each in (since, *interval))
+    if low == high:
+        return f"since {word_date(since)}"
+    first = f"{low.day}" if (low.year, low.month) == (high.year, high.month) else _word_day(low, high)
+    return f"since {word_date(since)} ({first} to {_word_day(high, day)})"
+
+
+def _word_day(day: datetime, beside: datetime) -> str:
+    """Return a date in words, without its year where that of another date is the same."""
+    return f"{day.day} {day:%B}" + (f" {day.year}" if beside.year != day.year else "")
+
+
 def word_date(text: str) -> str:
     """Return the day of an ISO date or time in words.
 

@@ -29,7 +29,8 @@ SRTM_VOID: Final = -32768
 """Value of a void of SRTM. [m]"""
 MOST_NODES: Final = 200_000_000
 """Largest number of nodes of a tile, in files and in memory; a tile of SRTM with 1 arc second has 13 million."""
-_TOO_LARGE: Final = f"it has more than {4 * MOST_NODES:,} bytes: cut it with gdal_translate -projwin"
+_LARGEST_HGT: Final = 2 * 3601**2  # a tile of SRTM with 1 arc second [B]
+_TOO_LARGE: Final = "it has more than {most:,} bytes: cut it with gdal_translate -projwin"
 WGS84: Final = "EPSG:4326"
 """Latitude and longitude."""
 INSTALL: Final = "install it with: pip install 'socast[elevation]'"
@@ -81,27 +82,27 @@ def _read_content(path: Path) -> tuple[str, bytes]:
     kind = path.suffix.lower()
     if kind == ".gz":
         with gzip.open(path) as file:
-            return path.stem, _read_limited(file)
+            return path.stem, _read_limited(file, path.stem)
     if kind == ".zip":
         with zipfile.ZipFile(path) as archive:
             inside = [name for name in archive.namelist() if name.lower().endswith((".hgt", ".tif", ".tiff"))]
             if len(inside) != 1:
                 raise ValueError(f"it holds {len(inside)} tiles and must hold one")
             with archive.open(inside[0]) as file:
-                return Path(inside[0]).name, _read_limited(file)
+                return Path(inside[0]).name, _read_limited(file, inside[0])
     with path.open("rb") as file:
         if path.stat().st_size > 4 * MOST_NODES:
-            raise ValueError(_TOO_LARGE)
-        return path.name, _read_limited(file)
+            raise ValueError(_TOO_LARGE.format(most=4 * MOST_NODES))
+        return path.name, _read_limited(file, path.name)
 
 
-def _read_limited(file: Any) -> bytes:
-    """Return the content of a file, or refuse a file that is empty or larger than a tile with four bytes a node."""
-    content: bytes = file.read(4 * MOST_NODES + 1)
-    if not content:
+def _read_limited(file: Any, name: str) -> bytes:
+    """Return the content of a file, or refuse a file that is empty or larger than a tile of its kind."""
+    most = _LARGEST_HGT if name.lower().endswith(".hgt") else 4 * MOST_NODES
+    if not (content := bytes(file.read(most + 1))):
         raise ValueError("it is empty")
-    if len(content) > 4 * MOST_NODES:
-        raise ValueError(_TOO_LARGE)
+    if len(content) > most:
+        raise ValueError(_TOO_LARGE.format(most=most))
     return content
 
 

@@ -2,14 +2,12 @@
 
 import gc
 import logging
-import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import inf
-from threading import Event, Lock
-from types import FrameType
+from threading import Lock
 from typing import Any, Final, TypeAlias
 
 from socast.core.pipeline import Pipeline
@@ -190,38 +188,6 @@ def run(
         tally.seconds = clock() - began
     counters.write("finished")
     return tally
-
-
-@contextmanager
-def stop_on_signals() -> Iterator[Event]:
-    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, and later ones do nothing.
-
-    Once a signal has ended what ran, the process ends too: signals that come after do nothing, so that its exit code is
-    that of an end as asked.
-    """
-    stop = Event()
-    is_interrupted = False
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        nonlocal is_interrupted
-        if stop.is_set() and number == signal.SIGINT and not is_interrupted:
-            is_interrupted = True
-            signal.default_int_handler(number, frame)
-        stop.set()
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        is_interrupted = True
-        if not stop.is_set():
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-
-def act_on_hangup(act: Callable[[], None]) -> None:
-    """Call a function at SIGHUP, in the thread of the loop, for as long as the process lives."""
-    signal.signal(signal.SIGHUP, lambda *_: act())
 
 
 def _make_keeper(source: Source, recorder: Recorder | None, tally: Tally) -> Callable[[Sequence[Message]], None]:

@@ -1,10 +1,11 @@
-"""Ask the caches of publishers for what a consumer missed: at its start, when a session appears again, and at gaps.
+"""Ask caches of publishers, and storages, for what a consumer missed: at its start, at a return, and at gaps.
 
 A publisher that numbers its samples keeps the last ones in a cache, and a liveliness token shows that it is there. The
 tokens of a session vanish when it, the router or a link between them is lost, and come again afterwards, mostly before
 its next sample. The consumer then asks the caches of the session for all that they hold, and the pipeline drops what it
 has. A further publisher of a session that is there was never cut off, and is not asked. Where the numbers of a
-publisher show a gap, its cache alone is asked, and only from there on.
+publisher show a gap, its cache alone is asked, and only from there on. At the start and after the return of the
+router, storages are asked for the last hour too; they have no keys with `@`.
 
 At the start and after the return of the router, all live samples wait for answers, at most `HOLD_S`. Otherwise only
 those wait whose session or publisher is asked, so that none holds up another: those of a publisher for the end of its
@@ -28,6 +29,7 @@ from zenoh import handlers
 from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_times
+from socast.core.wire.messages import BATCH, OF_VEHICLES
 from socast.stream.zenoh_session import Node, format_zenoh_error
 
 ANSWER_S: Final = 10.0
@@ -59,6 +61,7 @@ MOST_SESSIONS: Final = 1 << 16
 _ANSWERS: Final = 1 << 8
 _TOKENS: Final = 1 << 16
 _ALL: Final = ""
+_STORED: Final = [*(kind for kind in OF_VEHICLES if kind != "forecast"), BATCH]  # not `outlook`, which consumers answer
 _MARK: Final = "/@adv/pub/"  # between the key of a publisher and the identity of its session, in a token
 _log = logging.getLogger("socast.zenoh")
 
@@ -98,6 +101,12 @@ class CacheHistory:
         self.asked = 0
         self._session = node.session
         self._spaces = [f"{space}{_MARK}" for space in spaces]
+        fleets = [space for space in spaces if space.endswith("/**") and "fleet" in space.split("/")]
+        kept = [*(set(spaces) - set(fleets)), *(f"{space}/{kind}" for space in fleets for kind in _STORED)]
+        self._everybody = [
+            *(f"{space}**" for space in self._spaces),
+            *(f"{keys}?_time=[now(-1h)..]" for keys in kept),
+        ]
         self._must_ask_all = True
         self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
         self._gone: dict[str, float] = {}  # token -> time until which it is awaited
@@ -262,7 +271,7 @@ class CacheHistory:
             self._has_answered.clear()
             question = self._questions.setdefault(_ALL, _Question())
             question.is_holding, question.asked_s, question.quiet_from = True, now, now
-            question.queries = self._ask([f"{space}**" for space in self._spaces])
+            question.queries = self._ask(self._everybody)
 
     def _ask_sessions(self, now: float) -> None:
         """Ask the caches of sessions that are due, as many as may be asked at a time, once all have answered."""
@@ -362,20 +371,22 @@ _MOST_ROWS: Final = Limits().list_samples
 def merge_samples(samples: Sequence[Any]) -> list[Any]:
     """Return samples from caches and live ones in the order in which they were published.
 
-    The samples of one publisher are ordered by their numbers. Publishers are merged by the timestamps of their
-    sessions, or by the senders' times where a session gives no timestamps.
+    The samples of one publisher are ordered by their numbers; those without, as storages return them, by their
+    timestamps. Publishers are merged by the timestamps of their sessions, or by the senders' times where a session
+    gives no timestamps.
 
     Parameters
     ----------
     samples : sequence of zenoh.Sample
         Samples of any keys; the same sample may come more than once, and then the first one is returned.
     """
-    publishers: dict[Any, dict[int, Any]] = {}
+    publishers: dict[Any, dict[tuple[float, int], Any]] = {}
     arrival = count()
     for sample in samples:
         source = sample.source_info
         whose = (str(sample.key_expr), str(source.source_id) if source is not None else None)
-        publishers.setdefault(whose, {}).setdefault(source.source_sn if source is not None else next(arrival), sample)
+        numbers = (source.source_sn, 0) if source else (_find_time(sample) if sample.timestamp else 0, next(arrival))
+        publishers.setdefault(whose, {}).setdefault(numbers, sample)
     timed: list[tuple[float, Any]] = []
     for numbered in publishers.values():
         latest = -inf

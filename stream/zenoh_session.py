@@ -14,6 +14,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 import ipaddress
 import logging
 import re
+import resource
 import secrets
 import socket
 import time
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
+import numpy as np
 import zenoh
 
 from socast.core.errors import SettingsError, read_input
@@ -37,6 +39,10 @@ STALL_US: Final = 60_000_000
 """Time for which a remote end may stop reading before Zenoh closes its transport. [us]"""
 LINGER_S: Final = 0.5
 """Time given to directly connected nodes to read; no query shows when they have read. [s]"""
+FILES, SPACE = 24, 2 << 30
+"""Number of free file descriptors, and address space [B], that a session needs; with less, Zenoh aborts the process."""
+DEEPEST: Final = 100
+"""Deepest nesting of a configuration; Zenoh's reader crashes at some thousands."""
 _PORTS: Final = range(16_000, 32_000)  # of services; Linux gives connections those from 32,768, others from 49,152
 _CHECKED: Final = 3  # endpoints that are checked after a failure
 _BARRIER: Final = "socast/barrier"
@@ -111,6 +117,7 @@ class Node(Closeable):
         self.prefix = parse_prefix(connection.prefix)
         config = _make_config(connection)
         self.endpoints: list[str] = _list_endpoints(config)
+        _check_limits()
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -144,7 +151,8 @@ class Node(Closeable):
     def close(self) -> None:
         """Close the session."""
         if not self._is_abandoned and not self.session.is_closed():
-            self.session.close()  # type: ignore[no-untyped-call]
+            with suppress(zenoh.ZError):  # with very many endpoints it gives up after 10 s
+                self.session.close()  # type: ignore[no-untyped-call]
 
     def flush(self) -> None:
         """Wait until all published messages have left, as long as the remote end reads."""
@@ -210,10 +218,24 @@ def format_zenoh_error(error: Exception) -> str:
     return (inner.group(1) if inner else text).strip(" .!")
 
 
+def _check_limits() -> None:
+    """Refuse a session that would find too few file descriptors or too small an address space."""
+    if 0 <= (space := resource.getrlimit(resource.RLIMIT_AS)[0]) < SPACE:  # negative for no limit
+        raise SettingsError(f"address space is limited to {space >> 20} MiB: raise it with `ulimit -v {SPACE >> 10}`")
+    most, used = resource.getrlimit(resource.RLIMIT_NOFILE)[0], len(list(Path("/dev/fd").iterdir()))
+    if 0 <= most < used + FILES:  # negative for no limit
+        raise SettingsError(
+            f"{used} files are open of at most {most}, and Zenoh needs {FILES} more: raise it with `ulimit -n 256`"
+        )
+
+
 def _read_config(file: Path) -> zenoh.Config:
     """Return the configuration of a file."""
     try:
-        read_input(file)  # Zenoh itself would read a file of any size
+        content = np.frombuffer(read_input(file), np.uint8)  # Zenoh itself would read a file of any size
+        opened = np.isin(content, list(b"[{")).astype(np.int64) - np.isin(content, list(b"]}"))
+        if np.cumsum(opened).max(initial=0) > DEEPEST:
+            raise SettingsError(f"--config {file} is nested in more than {DEEPEST} levels, which no configuration is")
         return zenoh.Config.from_file(file)
     except FileNotFoundError as error:
         raise SettingsError(f"--config {file} does not exist; `socast secure init` makes one") from error

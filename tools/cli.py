@@ -10,7 +10,7 @@ import gc
 import inspect
 import os
 import re
-import signal
+import resource
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -129,6 +129,8 @@ SHORTAGES: Final = {
     **dict.fromkeys((errno.EMFILE, errno.ENFILE), _FILES),
 }
 """What to say where the operating system gives a process no more of something, by its reason."""
+LEAST_SPACE: Final = 4 << 30
+"""Address space that commands and their threads need; most of it takes no memory. [B]"""
 LONGEST_LINE: Final = 2000
 """Longest error message that is printed whole; of a longer one, which may quote a file, the middle is left out."""
 
@@ -247,7 +249,7 @@ def _wrap_example(line: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; an error that a person can correct is one line on standard error, with exit code 2."""
-    atexit.register(_end_calmly)
+    atexit.register(gc.freeze)  # the interpreter would search what numba and pandas hold for cycles: a quarter second
     given = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in _completed(os.environ) or given if not word.startswith("-")), None)
     try:
@@ -264,26 +266,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter's last flush stays silent
         raise SystemExit(CLOSED_PIPE) from None
-    except OSError as error:
-        if (words := SHORTAGES.get(error.errno or 0)) is None:
+    except Exception as error:
+        if (words := _explain_shortage(error)) is None:
             raise
-        print(_one_line(words.format(reason=error.strerror)), file=sys.stderr)
-        raise SystemExit(2) from None
-    except MemoryError as error:
-        print(
-            _one_line(f"memory is used up ({str(error) or 'no more is given'}): free some, or read fewer recordings"),
-            file=sys.stderr,
-        )
+        print(_one_line(words), file=sys.stderr)
         raise SystemExit(2) from None
     raise SystemExit(code)
 
 
-def _end_calmly() -> None:
-    """Let the interpreter end fast, and let no signal that came too late change the exit code."""
-    gc.freeze()  # the interpreter would search what numba and pandas hold for cycles: a quarter second
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if callable(signal.getsignal(number)):  # the interpreter would return to the default, which kills
-            signal.signal(number, signal.SIG_IGN)
+def _explain_shortage(error: Exception) -> str | None:
+    """Return what the operating system gives too little of, None where an error has another cause."""
+    if words := SHORTAGES.get(getattr(error, "errno", None) or 0):
+        return words.format(reason=getattr(error, "strerror", ""))
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if 0 <= most < LEAST_SPACE:  # negative for no limit; libraries then fail in many ways
+        return (
+            f"the address space is limited to {most >> 20} MiB ({error}): raise it with `ulimit -v {LEAST_SPACE >> 10}`"
+        )
+    if isinstance(error, MemoryError):
+        return f"memory is used up ({str(error) or 'no more is given'}): free some, or read fewer recordings"
+    return None
 
 
 def _completed(environment: Mapping[str, str]) -> list[str]:
@@ -340,7 +342,3 @@ def _options(
 
 def _unloaded() -> None:
     """Stand for a command that was not called."""
-
-
-if __name__ == "__main__":
-    main()

@@ -297,6 +297,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     drove = repetition.drove_on(state, row, state.period)
     same = repetition.repeats_content(state, row)
     dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, same, period, drove)
+    late_samples.count_strays(state, row.raw_stamp, row.raw_seq, dt == clock.UNUSED)
     row.quality += bits
     row.lane = row.raw_lane
     if dt == clock.UNUSED:
@@ -343,7 +344,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     if not isnan(row.raw_occupants):
         state.occupants = row.raw_occupants
     row.stop = 1.0 if standstill.begins_stop(state) else 0.0
-    row.dt, row.mistimed = dt, state.mistimed
+    row.dt, row.mistimed = dt, dt if state.strays > late_samples.MOST_STRAYS else state.mistimed
     rode = state.riding == 1.0
     charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
     follows = state.riding == 1.0 and state.speed_stuck == 1.0 and row.distance > 0.0

@@ -13,6 +13,8 @@ FIELDS: Final = (
     "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
     "hole_start",  # counter of the last sample before the newest long hole in the counter
     "hole_end",  # counter of the first sample after it
+    "strays",  # points of samples that another clock stamped, among the newest `STRAY_MEMORY` or so
+    "stray_run",  # number of successive ones before this sample
 )
 
 AGREE_BACK: Final = 10
@@ -25,6 +27,14 @@ AGREE_TIME: Final = 60.0
 """Time of `AGREE_BACK` samples from which a logger is slow. [s]"""
 HISTORY: Final = 1200.0
 """Number of samples before the end of a hole in the counter that may be sent late: an hour of the nominal period."""
+FAR: Final = 600.0
+"""Distance from the clock of a sample that another clock has stamped. [s]"""
+STRAY_MEMORY: Final = 1000.0
+"""Number of samples in which such samples count; each is a point, and the end of several in a row `RUN_POINTS`."""
+RUN_POINTS: Final = 20.0
+"""Points for a clock that is set, or returns."""
+MOST_STRAYS: Final = 100.0
+"""Points from which the clock alternates: a tenth of the samples is stray, or the clock was set three times."""
 LEAP: Final = 200.0
 """Longest gap that is accepted without confirmation by a second stamp. [periods]"""
 
@@ -46,6 +56,19 @@ def extends_late_run(state: Any, stamp: float, seq: float, counted: float) -> bo
         return 0.0 < since <= 2.0 * state.period
     ahead = seq - state.late_seq
     return 1.0 <= ahead <= AGREE_BACK and abs(since - ahead * state.period) <= 2.0 * state.period
+
+
+@njit(cache=False)
+def count_strays(state: Any, stamp: float, seq: float, rejected: bool) -> None:
+    """Count a sample that is far from the clock, unless it fills a hole."""
+    state.strays -= state.strays / STRAY_MEMORY
+    if abs(stamp - state.time) > FAR and not (rejected and fills_hole(state, seq, seq - state.seq)):
+        state.strays += 1.0
+        state.stray_run += 1.0
+    else:
+        if state.stray_run >= 2.0:
+            state.strays += RUN_POINTS
+        state.stray_run = 0.0
 
 
 @njit(cache=False)

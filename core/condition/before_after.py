@@ -5,7 +5,6 @@ The car-days of each car, less those of its siblings, give the change by general
 (`socast.core.condition.placebo`).
 """
 
-from datetime import date
 from typing import Final
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.special import ndtri, stdtrit
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, Campaign, States
 from socast.core.condition.campaign_records import BeforeAfter, CarChange, CarSeries, LevelPath, PlaceboSpread
-from socast.core.condition.car_days import LEAST_SIBLINGS, CarDays
+from socast.core.condition.car_days import LEAST_SIBLINGS, CarDays, write_date
 from socast.core.condition.detection_time import foresee_detection
 from socast.core.condition.level_model import Series, smooth_levels
 from socast.core.condition.placebo import calibrate_errors, try_placebos
@@ -61,10 +60,10 @@ def compare_before_after(days: CarDays, campaign: Campaign, model: str) -> Befor
     return BeforeAfter(
         vehicles=[days.cars[row] for row in rows],
         model=model,
-        at=_format_ordinal(campaign.at),
-        until=_format_ordinal(campaign.until),
+        at=write_date(campaign.at) if campaign.at else None,
+        until=write_date(campaign.until) if campaign.until else None,
         what=campaign.what,
-        last_date=date.fromordinal(int(series.dates[-1])).isoformat(),
+        last_date=write_date(series.dates[-1]),
         change=change,
         cars=cars,
         placebo=placebo,
@@ -81,10 +80,10 @@ def _find_rows(days: CarDays, campaign: Campaign) -> list[int]:
     """Return the rows of the cars of a campaign."""
     if unknown := [each for each in campaign.vehicles if each not in days.cars]:
         raise ModelError(f"vehicle {unknown[0]!r} has no rides here; {suggest_names(unknown[0], days.cars)}")
-    first, last = (date.fromordinal(int(days.consumption.dates[at])) for at in (0, -1))
-    if campaign.at is not None and campaign.at <= first.toordinal():
+    first, last = (write_date(days.consumption.dates[at]) for at in (0, -1))
+    if campaign.at is not None and campaign.at <= days.consumption.dates[0]:
         raise ModelError(
-            f"the date is {_format_ordinal(campaign.at)}, and the rides are of {first} to {last}: give a date after "
+            f"the date is {write_date(campaign.at)}, and the rides are of {first} to {last}: give a date after "
             f"{first}, or recordings of earlier days"
         )
     return [days.cars.index(each) for each in dict.fromkeys(campaign.vehicles)]
@@ -137,12 +136,12 @@ def _make_series(panel: DeviationPanel, split: Series, row: int, car: str, state
         kept = slice(days[0], days[-1] + 1)
         bounds = (path.level[at] + side * half[at] - fit.level for side in (0.0, -1.0, 1.0))
         level, low, high = (np.expm1(each[kept]).tolist() for each in bounds)
-        return LevelPath(date=_format_ordinals(panel.dates[kept]), level=level, low=low, high=high)
+        return LevelPath(date=[write_date(each) for each in panel.dates[kept]], level=level, low=low, high=high)
 
     used = np.isfinite(panel.value[row]) & (state != OUT)
     return CarSeries(
         vehicle_id=car,
-        date=_format_ordinals(panel.dates[used]),
+        date=[write_date(each) for each in panel.dates[used]],
         deviation=np.expm1(panel.value[row, used] - fit.level).tolist(),
         after=(state[used] == AFTER).tolist(),
         level_before=draw(0),
@@ -161,11 +160,3 @@ def _list_notes(days: CarDays, rows: list[int], siblings: Ints, placebo: Placebo
     if not placebo.campaigns:
         notes.append("No placebo campaign is possible, so the interval rests on the model of the noise alone.")
     return notes
-
-
-def _format_ordinals(dates: Ints) -> list[str]:
-    return [date.fromordinal(each).isoformat() for each in dates.tolist()]
-
-
-def _format_ordinal(day: int | None) -> str | None:
-    return None if day is None else date.fromordinal(day).isoformat()

@@ -6,7 +6,6 @@ usable capacity of each car (`socast.core.condition.level_model`), and sudden ch
 """
 
 from collections.abc import Sequence
-from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,10 +16,12 @@ from socast.core.batch import Floats
 from socast.core.condition.car_days import (
     LEAST_SIBLINGS,
     CarDays,
+    estimate_day_noise,
     forget_cars,
     gather_car_days,
     select_car_day_columns,
     subtract_siblings,
+    write_date,
 )
 from socast.core.condition.known_events import place_events
 from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering
@@ -36,8 +37,8 @@ COLD_SD: Final = 0.004
 """Standard deviation of the share of the capacity that a kelvin takes off, before any data. [1/K]"""
 FEW_CARS: Final = 12
 """Number of cars of a vehicle model up to which a step of one of them shifts the mean of the others noticeably."""
-LARGEST_RATE_SD: Final = 0.8
-"""A rate is told if its standard deviation is less than this share of that before any data. [1]"""
+LARGEST_RATE_SD: Final = 1.3
+"""A rate is told if its standard deviation is less than this multiple of that of the rates of cars. [1]"""
 CLEAR_SDS: Final = 3.0
 """Number of standard deviations from which a rate is a finding; by chance, one car in 370 has such a rate."""
 LEAST_DAYS: Final = 6
@@ -73,10 +74,9 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
     consumption = follow_beside_siblings(days.consumption, days.models)
     capacity, cold_loss = _subtract_cold(days)
     batteries = follow(capacity, CAPACITY)
-    models, written = np.array(days.models), [_write_date(each) for each in days.consumption.dates]
+    models, written = np.array(days.models), [write_date(each) for each in days.consumption.dates]
     cars = [_assess_car(days, i, models == models[i], written, consumption, batteries) for i in range(len(models))]
     known = np.isfinite(days.consumption.value)
-    sizes = consumption.found.of_day**2, consumption.found.of_amount**2
     result = FleetCondition(
         model=model.name,
         rides=len(compared.rides),
@@ -86,7 +86,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, events: Sequence[K
         first_date=written[0],
         last_date=written[-1],
         left_out=compared.left_out,
-        day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(*sizes)[known]))),
+        day_sd_pct=100.0 * float(np.sqrt(np.median(consumption.series.compute_variance(consumption.found)[known]))),
         cold_loss_pct=None if cold_loss is None else 100.0 * cold_loss,
         cars=sorted(cars, key=_rank),
     )
@@ -107,13 +107,13 @@ def follow_beside_siblings(series: Series, models: list[str]) -> Followed:
     with the clearest steps is therefore taken first: as a sibling it counts without them, and the others are judged
     anew.
     """
-    sizes = CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2
+    noise = estimate_day_noise(series, models)
     explained: dict[int, list[LevelStep]] = {}
     counts = {name: models.count(name) for name in models}
     while True:
         taken = [explained.get(i, []) for i in range(len(models))]
         without = subtract_steps(series, taken).value
-        beside = subtract_siblings(series, models, *sizes, without)
+        beside = subtract_siblings(series, models, noise, without)
         found, heavy, steps = separate_steps(beside, CONSUMPTION)
         open_cars = [i for i, each in enumerate(steps) if each and i not in explained and counts[models[i]] <= FEW_CARS]
         if not open_cars or len(explained) >= FEW_CARS:
@@ -129,7 +129,7 @@ def _subtract_cold(days: CarDays) -> tuple[Series, float | None]:
     known = np.isfinite(value)
     if not known.any():
         return series, None
-    weight = np.where(known, 1.0 / series.compute_variance(CAPACITY.of_day**2, CAPACITY.of_amount**2), 0.0)
+    weight = np.where(known, 1.0 / series.compute_variance(CAPACITY), 0.0)
     sums = np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
     years = np.broadcast_to((series.dates - series.dates[0]) / YEAR, value.shape)
 
@@ -198,8 +198,8 @@ def _describe_step(step: LevelStep) -> ConditionStep:
     """Return a step as a record."""
     low, high = _around(step.size, step.sd)
     return ConditionStep(
-        since=_write_date(step.since),
-        interval=(_write_date(step.low), _write_date(step.high)),
+        since=write_date(step.since),
+        interval=(write_date(step.low), write_date(step.high)),
         change_pct=_to_percent(step.size),
         ci95_pct=(_to_percent(low), _to_percent(high)),
         probability=step.probability,
@@ -224,8 +224,3 @@ def _to_percent(log: float) -> float:
 def _to_percents(logs: Floats) -> list[float | None]:
     """Return the changes that logarithms of factors mean. [%]"""
     return list((100.0 * np.expm1(logs)).tolist())
-
-
-def _write_date(ordinal: float) -> str:
-    """Return the ISO date of an ordinal."""
-    return date.fromordinal(int(ordinal)).isoformat()

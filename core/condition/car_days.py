@@ -7,6 +7,7 @@ Cars of a fleet share the weather of a date and whatever the model lacks of it. 
 cars, the mean of the others is taken off each of them, so that the series of a car is its deviation from its siblings.
 """
 
+from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,10 +15,11 @@ import pandas as pd
 from msgspec.structs import replace
 
 from socast.core.batch import Floats
-from socast.core.condition.level_model import Series
+from socast.core.condition.level_model import CONSUMPTION, Series, estimate_wandering
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.core.evaluate.ride_filter import NEEDED_COLUMNS
+from socast.core.fit.measurement_noise import compute_noise_variance
 from socast.core.fit.ride_blocks import get_numbers, parse_ride_date
 from socast.core.formatting import format_count
 from socast.core.models import LinearModel
@@ -25,6 +27,8 @@ from socast.core.models.features import VEHICLE_SCOPE
 
 CAPACITY_COLUMNS: Final = ("nominal_capacity_kwh", "energy_vi_kwh", "soc_start_pct", "soc_end_pct")
 """Columns of the ride table that tell the usable capacity, besides the outside temperature."""
+NOISE_COLUMNS: Final = ("energy_vi_sd_kwh", "energy_soc_noise_kwh")
+"""Columns that tell the noise of the measured energy."""
 LEAST_DATES: Final = 6
 """Number of dates below which nothing is told of a condition."""
 LEAST_KWH: Final = 0.1
@@ -40,8 +44,8 @@ MILD_C: Final = 10.0
 
 
 def list_car_day_columns(model: LinearModel) -> list[str]:
-    """Return the columns of a ride table from which car-days are made; those of the capacity may be absent."""
-    return list(dict.fromkeys((*NEEDED_COLUMNS, *model.needs, *CAPACITY_COLUMNS)))
+    """Return the columns of a ride table from which car-days are made; those of capacity and noise may be absent."""
+    return list(dict.fromkeys((*NEEDED_COLUMNS, *model.needs, *CAPACITY_COLUMNS, *NOISE_COLUMNS)))
 
 
 def select_car_day_columns(rides: pd.DataFrame, model: LinearModel) -> pd.DataFrame:
@@ -59,7 +63,7 @@ class CarDays(NamedTuple):
     nominal_kwh : (n,) float
         Usable capacity by the catalogue. [kWh]
     consumption : Series
-        Measured over predicted energy; its amount is the predicted energy [kWh].
+        Measured over predicted energy; its amount is the predicted energy [kWh], its extra variance that of the meter.
     capacity : Series
         Usable capacity over that of the catalogue; its amount is the square of the fall of the display over the number
         of rides [%^2].
@@ -111,7 +115,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
 
     measured, predicted = total(compared.measured), total(compared.predicted[label])
     factor = np.divide(measured, predicted, out=np.full(shape, np.nan), where=predicted >= least_kwh)
-    zero = np.zeros(shape)
+    noise = total(np.nan_to_num(compute_noise_variance(rides))) / np.maximum(predicted, least_kwh) ** 2
     first = np.unique(car, return_index=True)[1]
     nominal, energy, ambient = (_read(rides, name) for name in ("nominal_capacity_kwh", "energy_vi_kwh", "ambient_c"))
     nominal, fall = nominal[first], _read(rides, "soc_start_pct") - _read(rides, "soc_end_pct")
@@ -125,8 +129,10 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
         list(map(str, cars)),
         rides["vehicle_model"].astype(str).to_numpy()[first].tolist(),
         nominal,
-        Series(dates, consumption, predicted, zero),
-        Series(dates, _take_logarithm(whole / nominal[:, np.newaxis]), falls**2 / np.maximum(number, 1.0), zero),
+        Series(dates, consumption, predicted, noise),
+        Series(
+            dates, _take_logarithm(whole / nominal[:, np.newaxis]), falls**2 / np.maximum(number, 1.0), np.zeros(shape)
+        ),
         total(colder) / np.maximum(falls, 1e-9),
         int(unknown.sum()),
         float(np.abs(measured[unknown]).sum() / np.abs(measured).sum()),
@@ -144,8 +150,21 @@ def _take_logarithm(factor: Floats) -> Floats:
     return np.log(factor, out=np.full(factor.shape, np.nan), where=possible)
 
 
+def write_date(ordinal: int) -> str:
+    """Return the ISO date of an ordinal."""
+    return date.fromordinal(int(ordinal)).isoformat()
+
+
+def estimate_day_noise(series: Series, models: list[str]) -> Floats:
+    """Return the variance of each value's own noise, (n, t): what is far off beside its siblings has a larger one."""
+    beside = subtract_siblings(series, models)
+    found, heavy = estimate_wandering(beside, CONSUMPTION)
+    heavier = heavy.compute_variance(found) / beside.compute_variance(found)
+    return np.asarray(series.compute_variance(found) * heavier)
+
+
 def subtract_siblings(
-    series: Series, models: list[str], of_day: float, of_amount: float, without: Floats | None = None
+    series: Series, models: list[str], noise: Floats | None = None, without: Floats | None = None
 ) -> Series:
     """Return the deviation of each car from the other cars of its vehicle model.
 
@@ -153,14 +172,15 @@ def subtract_siblings(
 
     Parameters
     ----------
-    of_day, of_amount : float
-        Variances of the noise, see `Series`. [1]
+    noise : (n, t) float, optional
+        Variance of each value's own noise, by default that before any data. [1]
     without : (n, t) float, optional
         Values of the siblings where they are others than those of the cars: without their sudden changes. [1]
     """
     given = series.value if without is None else without
+    noise = series.compute_variance(CONSUMPTION) if noise is None else noise
     level = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else 0.0 for row in given])
-    weight = np.where(np.isfinite(given), 1.0 / series.compute_variance(of_day, of_amount), 0.0)
+    weight = np.where(np.isfinite(given), 1.0 / noise, 0.0)
     apart = np.where(np.isfinite(given), given - level[:, np.newaxis], 0.0)
     value, extra = series.value.copy(), series.extra.copy()
     for name in sorted(set(models)):

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
-from socast.core.condition.car_days import forget_cars
+from socast.core.condition.car_days import LEAST_SIBLINGS, forget_cars
 from socast.core.effects import Effect, get_library, group_by_topic
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import ComparedRides, select_rides
@@ -66,8 +66,6 @@ AIR_DRAG: Final = frozenset({"aero_drag", "aero_drag_wind"})
 """Effects of air drag besides those of the topic `air`."""
 SLOWER: Final = 0.9
 """Speed of the slower drive over the present one. [1]"""
-LEAST_SIBLINGS: Final = 3
-"""Number of cars of one vehicle model from which their median is taken."""
 LIKE_SIBLINGS: Final = "each car like the median of its vehicle model"
 DRIVEN_SLOWER: Final = "10 % slower"
 
@@ -368,7 +366,7 @@ def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEner
     cars = []
     for kind in dict.fromkeys(kind for kind, *_ in factors):
         of_kind = [each for each in factors if each[0] == kind]
-        if len(of_kind) < LEAST_SIBLINGS:
+        if len(of_kind) <= LEAST_SIBLINGS:
             continue
         median = float(np.median([factor.value for *_, factor in of_kind]))
         cars += [
@@ -388,7 +386,7 @@ def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEner
 def _save_like_siblings(cars: list[CarEnergyFactor], scale: _Scale) -> EnergySaving | str:
     """Return what the median of the siblings would save, or why that is unknown."""
     if not cars:
-        return f"{LIKE_SIBLINGS}: unknown, because fewer than {LEAST_SIBLINGS} cars of one vehicle model drove"
+        return f"{LIKE_SIBLINGS}: unknown, because fewer than {LEAST_SIBLINGS + 1} cars of one vehicle model drove"
     above = sum(max(car.saved_kwh, 0.0) for car in cars)
     return EnergySaving(
         what=LIKE_SIBLINGS,

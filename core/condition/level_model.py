@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
+from socast.core.condition.step_mixture import NO_SHOCK, ShockMixture
 
 YEAR: Final = 365.25
 """Length of a year. [d]"""
@@ -35,6 +36,8 @@ LEVEL_SD: Final = 0.3
 """Standard deviation of the level of a car before any data. [1]"""
 FREEDOM: Final = 5.0
 """Degrees of freedom of the noise."""
+INFORMATION: Final = (FREEDOM + 3.0) / (FREEDOM + 1.0)
+"""Variance of a mean of such noise over that which the variances of single values give it. [1]"""
 QUICK: Final = 0.3
 """Wander, in a year, of the level beside which a value is far off: a step of the level is followed within days. [1]"""
 MOST_CARS: Final = 100
@@ -63,9 +66,9 @@ class Series(NamedTuple):
     amount: Floats
     extra: Floats
 
-    def compute_variance(self, of_day: float, of_amount: float) -> Floats:
+    def compute_variance(self, sizes: "Wandering") -> Floats:
         """Return the variance of each value. [1]"""
-        return np.asarray(of_day + of_amount / np.maximum(self.amount, 1e-9) + self.extra)
+        return np.asarray(sizes.of_day**2 + sizes.of_amount**2 / np.maximum(self.amount, 1e-9) + self.extra)
 
 
 class Wandering(NamedTuple):
@@ -109,7 +112,7 @@ class Path(NamedTuple):
     level, sd : (n, t) float
         Level and its standard deviation. [1]
     rate, rate_sd : (n,) float
-        Rate and its standard deviation. [1/year]
+        Rate and its standard deviation by the data alone, without the prior that holds in the level. [1/year]
     """
 
     level: Floats
@@ -123,10 +126,16 @@ class Path(NamedTuple):
         n, days = series.value.shape
         return cls(*(np.full(shape, np.nan) for shape in ((n, days), (n, days), (n,), (n,))))
 
-    def put(self, row: int, level: Floats, variance: Floats, rate: float, rate_variance: float) -> None:
-        """Write the path of a car, with its last rate and the variance of that. [1/d], [1/d^2]"""
-        self.level[row], self.sd[row] = level, np.sqrt(np.maximum(variance, 0.0))
-        self.rate[row], self.rate_sd[row] = YEAR * rate, YEAR * max(rate_variance, 0.0) ** 0.5
+    def put(self, row: int, smoothed: SmoothedLevel, found: Wandering, added: ShockMixture = NO_SHOCK) -> None:
+        """Write the path of a car, and what shocks add to its level.
+
+        The prior precision of the rate is taken off: an interval that is drawn towards zero misses large rates.
+        """
+        self.level[row] = smoothed.level + added.level
+        self.sd[row] = np.sqrt(np.maximum(smoothed.variance + added.variance, 0.0))
+        prior, variance = (found.rate / YEAR) ** 2, float(smoothed.rate_variance[-1])
+        freed = prior / max(prior - variance, 1e-6 * prior)
+        self.rate[row], self.rate_sd[row] = YEAR * freed * float(smoothed.rate[-1]), YEAR * (freed * variance) ** 0.5
 
 
 def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Series]:
@@ -139,12 +148,16 @@ def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Ser
     for _ in range(ROUNDS):
         found = _maximise(Series(out.dates, *(each[::every] for each in out[1:])), prior)
         level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
-        plain = series.compute_variance(found.of_day**2, found.of_amount**2)
+        plain = series.compute_variance(found)
         off = (series.value - level) ** 2 / np.maximum(variance - noise + plain, 1e-12)
-        heavier = np.maximum((off + FREEDOM) / (FREEDOM + 1.0) - 1.0, 0.0)
-        extra = np.where(np.isfinite(series.value), series.extra + heavier * plain, series.extra)
-        out = series._replace(extra=extra)
-    return found, out
+        heavier = (off + FREEDOM) / (FREEDOM + 1.0)
+        out = _add_variance(series, plain * np.maximum(heavier - 1.0, 0.0))
+    return found, _add_variance(series, plain * (INFORMATION * heavier - 1.0))
+
+
+def _add_variance(series: Series, more: Floats) -> Series:
+    """Return a series with a larger variance of what was measured."""
+    return series._replace(extra=series.extra + np.where(np.isfinite(series.value), more, 0.0))
 
 
 def _maximise(series: Series, prior: Wandering) -> Wandering:
@@ -178,7 +191,7 @@ def _predict_levels(series: Series, found: Wandering) -> tuple[Floats, Floats, F
 
 def _filter(series: Series, found: Wandering) -> tuple[float, Floats, Floats]:
     """Return the log-likelihood of all cars, the noise, and the predicted levels with their variances, (2, n, t)."""
-    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    noise = series.compute_variance(found)
     out = np.empty((2, *series.value.shape))
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
     likelihood = _filter_levels(series.value, noise, gaps, found.wander**2 / YEAR, (found.rate / YEAR) ** 2, out)
@@ -231,7 +244,7 @@ def smooth_cars(series: Series, found: Wandering, breaks: Sequence[Collection[in
 
     `breaks` are the ordinals at which the level of each car changes suddenly, by an unknown amount.
     """
-    noise = series.compute_variance(found.of_day**2, found.of_amount**2)
+    noise = series.compute_variance(found)
     gaps = np.diff(series.dates, prepend=series.dates[0]).astype(np.float64)
     every, variances = np.isfinite(series.value), found.compute_variances()
     for row, (value, known) in enumerate(zip(series.value, every, strict=True)):
@@ -249,6 +262,5 @@ def smooth_levels(series: Series, found: Wandering) -> Path:
     """Return the smoothed paths of the levels of cars."""
     path = Path.make_empty(series)
     for car in smooth_cars(series, found):
-        each = car.smoothed
-        path.put(car.row, each.level, each.variance, each.rate[-1], each.rate_variance[-1])
+        path.put(car.row, car.smoothed, found)
     return path

@@ -16,7 +16,6 @@ auxiliary residuals of breaks in the level. Kass, Raftery, Journal of the Americ
 773, DOI 10.1080/01621459.1995.10476572, on evidence.
 """
 
-import operator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -36,11 +35,11 @@ from socast.core.condition.step_mixture import NO_SHOCK, mix_shocks
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
-STEPS_A_YEAR: Final = 0.5
+STEPS_A_YEAR: Final = 1.0
 """Number of steps of a car in a year that is expected before any data."""
 REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
-SUSPECTED: Final = 0.3
+SUSPECTED: Final = 0.5
 """Probability of a step from which it does not count as wandering. [1]"""
 WEIGHED: Final = 0.1
 """Probability of a step from which the level is a mean over the step and none. [1]"""
@@ -97,7 +96,7 @@ def subtract_steps(series: Series, steps: list[list[LevelStep]]) -> Series:
 
 def _list_steps(series: Series, found: Wandering, least: float, every: int = 1) -> list[list[LevelStep]]:
     """Return the steps of each car, or of one of so many."""
-    variance, out = series.compute_variance(found.of_day**2, found.of_amount**2), list[list[LevelStep]]()
+    variance, out = series.compute_variance(found), list[list[LevelStep]]()
     for i, value in enumerate(series.value):
         known = np.isfinite(value)
         of_car = series.dates[known].astype(np.float64), value[known], variance[i][known]
@@ -183,19 +182,20 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
     """Return the smoothed paths of cars with the steps that were found, averaged over one more step and none.
 
     A step that is too uncertain to be reported is weighed by its probability, if that is at least `WEIGHED`, so that
-    the interval holds what the level would be with it and without. Level and rate are means of this mixture, with its
-    standard deviations.
+    the interval holds what the level would be with it and without. The level is the mean of this mixture, with its
+    standard deviation. The rate is that without such a step.
     """
     path, variances = Path.make_empty(series), found.compute_variances()
     for car in smooth_cars(series, found, [[each.since for each in of_car] for of_car in steps]):
-        level, variance, rate, rate_variance, score, information = car.smoothed
         known, added = np.flatnonzero(car.known), NO_SHOCK
         if len(known) >= 2 * LEAST_SIDE:
-            weighed = _weigh_steps(series.dates[known].astype(np.float64), score[known], information[known])
+            weighed = _weigh_steps(
+                series.dates[known].astype(np.float64), car.smoothed.score[known], car.smoothed.information[known]
+            )
             if (chance := weighed.probability) >= WEIGHED:
                 likely = np.sort(weighed.rank_likely())
                 chances = chance * weighed.odds[likely] / weighed.odds[likely].sum()
                 places, of_steps = known[weighed.places[likely]], (weighed.sizes[likely], weighed.variances[likely])
                 added = mix_shocks(*car[1:5], variances, places, chances, *of_steps)
-        path.put(car.row, *map(operator.add, (level, variance, rate[-1], rate_variance[-1]), added))
+        path.put(car.row, car.smoothed, found, added)
     return path

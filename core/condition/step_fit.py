@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, States
-from socast.core.condition.car_days import LEAST_SIBLINGS, subtract_siblings
+from socast.core.condition.car_days import LEAST_SIBLINGS, estimate_day_noise, subtract_siblings
 from socast.core.condition.level_model import CONSUMPTION, YEAR, Series, Wandering, estimate_wandering
 
 
@@ -58,12 +58,18 @@ def subtract_untreated(series: Series, models: list[str], treated: NDArray[np.bo
 
     Of a car that has siblings, days without enough of them are left out: the weather of those days is in them.
     """
-    value, extra = series.value.copy(), series.extra.copy()
-    groups = [(np.flatnonzero(~treated), np.flatnonzero(~treated))]
-    groups += [(np.array([row]), np.sort(np.append(np.flatnonzero(~treated), row))) for row in np.flatnonzero(treated)]
+    value, extra, noise = series.value.copy(), series.extra.copy(), np.ones_like(series.value)
+    untreated = np.flatnonzero(~treated)
+
+    def select(rows: Ints) -> tuple[Series, list[str]]:
+        return Series(series.dates, *(each[rows] for each in series[1:])), [models[i] for i in rows]
+
+    if len(untreated):
+        noise[untreated] = estimate_day_noise(*select(untreated))
+    groups = [(untreated, untreated)]
+    groups += [(np.array([row]), np.sort(np.append(untreated, row))) for row in np.flatnonzero(treated)]
     for wanted, rows in groups:
-        of_rows = Series(series.dates, *(each[rows] for each in series[1:]))
-        apart = subtract_siblings(of_rows, [models[i] for i in rows], CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2)
+        apart = subtract_siblings(*select(rows), noise[rows])
         at = np.searchsorted(rows, wanted)
         value[wanted], extra[wanted] = apart.value[at], apart.extra[at]
     shared = extra - series.extra
@@ -89,7 +95,7 @@ def estimate_panel(
 
     parts = (np.concatenate((keep(BEFORE), keep(AFTER))), *(np.tile(each, (2, 1)) for each in deviation[2:]))
     found, split = estimate_wandering(Series(deviation.dates, *parts), CONSUMPTION)
-    noise = split.compute_variance(found.of_day**2, found.of_amount**2)
+    noise = split.compute_variance(found)
     n = len(treated)
     later = (states == AFTER) & treated[:, np.newaxis]
     return DeviationPanel(deviation.dates, deviation.value, np.where(later, noise[n:], noise[:n]), shared, found), split

@@ -19,23 +19,13 @@ from socast.core.batch import Floats, Ints
 
 
 class ShockMixture(NamedTuple):
-    """Hold what shocks add to the mean and variance of a level on t dates, and of its rate.
-
-    Parameters
-    ----------
-    level, variance : (t,) float
-        What is added to the level. [1]
-    rate, rate_variance : float
-        What is added to the rate after the last date. [1/d], [1/d^2]
-    """
+    """Hold what shocks add to the mean and variance of a level on t dates, (t,). [1]"""
 
     level: Floats
     variance: Floats
-    rate: float
-    rate_variance: float
 
 
-NO_SHOCK: Final = ShockMixture(np.zeros(1), np.zeros(1), 0.0, 0.0)
+NO_SHOCK: Final = ShockMixture(np.zeros(1), np.zeros(1))
 """What nothing adds."""
 
 
@@ -61,12 +51,10 @@ def mix_shocks(
     weights, sizes, size_variances : (k,) float
         Probability of each shock, its estimate and the variance of that. [1]
     """
-    response, of_rate = np.empty((len(noise), len(places))), np.zeros(len(places))
-    _respond(known, noise, gaps, shocks, *variances, places, response, of_rate)
-    means, squares = weights * sizes, weights * (sizes**2 + size_variances)
-    level, rate = response @ means, float(of_rate @ means)
-    variance, rate_variance = response**2 @ squares - level**2, float(of_rate**2 @ squares) - rate**2
-    return ShockMixture(level, variance, rate, rate_variance)
+    response = np.empty((len(noise), len(places)))
+    _respond(known, noise, gaps, shocks, *variances, places, response)
+    level = response @ (weights * sizes)
+    return ShockMixture(level, response**2 @ (weights * (sizes**2 + size_variances)) - level**2)
 
 
 @njit(cache=True)
@@ -80,9 +68,8 @@ def _respond(
     rate_variance: float,
     places: Any,
     response: Any,
-    of_rate: Any,
 ) -> None:
-    """Write g of each date and shock, and that of the rate: what a shock of 1 adds."""
+    """Write g of each date and shock: what a shock of 1 adds."""
     days, number = response.shape
     kept = np.empty((5, days))
     level, rate, begun = np.zeros(number), np.zeros(number), 0
@@ -106,7 +93,6 @@ def _respond(
             off[k] = 1.0 - level[k]
             level[k] += gain * off[k]
             rate[k] += gain_rate * off[k]
-    of_rate[:] = -rate
     r_l, r_r = level, rate
     r_l[:] = 0.0
     r_r[:] = 0.0

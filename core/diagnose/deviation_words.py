@@ -1,11 +1,10 @@
 """Describe a deviation in one sentence: who uses how much more, since when, and why."""
 
 from collections.abc import Sequence
-from datetime import date
 from typing import Final
 
 from socast.core.diagnose.records import CarDeviation, CauseProbability
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_minus, word_since
 from socast.core.records import ConfidenceInterval
 
 PERCENT: Final = 100.0
@@ -112,16 +111,7 @@ def _word_date(one: CarDeviation) -> str:
     """Return the date of a change with its 90 % range, or a clause for what was always there."""
     if not one.since:
         return " than the others" if one.of == "group" else " than its siblings"
-    since = date.fromisoformat(one.since)
-    low, high = map(date.fromisoformat, one.since_ci90 or (one.since, one.since))
-    first = f"{low.day}" if (low.year, low.month) == (high.year, high.month) else _format_date(low, high)
-    return f" since {_format_date(since)} ({first} to {_format_date(high, since)})"
-
-
-def _format_date(day: date, beside: date | None = None) -> str:
-    """Return a date in words, without its year where that of another date is the same."""
-    year = "" if beside is not None and beside.year == day.year else f" {day.year}"
-    return f"{day.day} {day:%B}{year}"
+    return f" {word_since(one.since, one.since_ci90 or (one.since, one.since))}"
 
 
 def _name_causes(causes: Sequence[CauseProbability]) -> str:

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -28,6 +28,8 @@ from socast.core.files import UNREADABLE
 
 TIME_LIMIT: Final = 60.0
 """Longest time for importing and checking a user's file, which takes about 1 s of processor time. [s]"""
+MOST_FUNCTIONS, MOST_ARGUMENTS = 1000, 100
+"""Largest numbers of functions in a file, and of arguments of each."""
 ALLOWED_IMPORTS: Final = frozenset(
     {"__future__", "collections", "dataclasses", "functools", "itertools", "math", "numpy", "socast", "typing"}
 )
@@ -229,7 +231,19 @@ def _check_source(path: Path, source: str) -> None:
         called = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
         if called in FORBIDDEN_CALLS:
             raise EffectError(f"{path}:{node.lineno}: calls {called}; compute an effect from its columns alone")  # type: ignore[attr-defined]
-    names = Counter(node.name for node in tree.body if isinstance(node, ast.FunctionDef))
+    _check_functions(path, [node for node in tree.body if isinstance(node, ast.FunctionDef)])
+
+
+def _check_functions(path: Path, functions: Sequence[ast.FunctionDef]) -> None:
+    """Refuse functions that are too many, have too many arguments, or hide one another."""
+    arguments = max((len(node.args.args) + len(node.args.kwonlyargs) for node in functions), default=0)
+    for count, most, words in (
+        (len(functions), MOST_FUNCTIONS, "functions in a file: divide it"),
+        (arguments, MOST_ARGUMENTS, "arguments of a function: an effect is a function of a few columns"),
+    ):
+        if count > most:
+            raise EffectError(f"{path}: {count:,} is more than {most:,} {words}")
+    names = Counter(node.name for node in functions)
     if twice := [name for name, times in names.items() if times > 1]:
         raise EffectError(f"{path}: {twice[0]!r} is defined twice, and the second hides the first: rename one")
 

@@ -7,7 +7,8 @@ when more cars are in it than in the present day. Cars whose clocks are days awa
 
 The day also changes when more than half of all cars that were active in a longer window are further ahead, or days
 behind: then the day itself was wrong, or the fleet was idle. It becomes the latest day that more than half of them have
-reached, or the earliest that more than half are still in.
+reached, or the earliest that more than half are still in. Among the first `WINDOW_SAMPLES`, one day behind is enough,
+because the clock that came first may be wrong.
 """
 
 from math import isnan
@@ -31,9 +32,9 @@ RECENT_SAMPLES: Final = 100
 Fewer samples drop idle cars sooner; more samples tolerate a larger burst of a single car."""
 WINDOW_SAMPLES: Final = 1000
 """Number of the fleet's newest samples whose cars vote on any other day."""
-TODAY, NEXT_DAY, AHEAD, BEHIND, UNKNOWN_DAY = range(5)
+TODAY, YESTERDAY, NEXT_DAY, AHEAD, BEHIND, UNKNOWN_DAY = range(6)
 """Votes of a car."""
-_VOTES: Final = 5
+_VOTES: Final = 6
 
 CAR_CLOCK: Final = np.dtype(
     [
@@ -123,11 +124,11 @@ class DayRollover:
 
     def _begin_day(self) -> None:
         """Begin the day that most cars vote for."""
-        if self._recent_votes[NEXT_DAY] > self._recent_votes[TODAY]:
+        if self._recent_votes[NEXT_DAY] > self._recent_votes[[TODAY, YESTERDAY]].sum():
             self.midnight += SECONDS_PER_DAY
         else:
             active = self._get_active_clocks()
-            if self._window_votes[AHEAD] > self._window_votes[BEHIND]:
+            if self._window_votes[AHEAD] > self._window_votes[[YESTERDAY, BEHIND]].max():
                 stamps = -np.sort(-np.minimum(active["older"], active["newer"]))
             else:
                 stamps = np.sort(np.maximum(active["older"], active["newer"]))
@@ -198,14 +199,16 @@ def _process_samples(
         window_votes[now] += 1
         clock.window += 1
         leaving = newest[at]
+        behind = window_votes[BEHIND] + (window_votes[YESTERDAY] if leaving < 0 else 0)
         if leaving >= 0:
             left = clocks[leaving]
             left.window -= 1
             if left.window == 0:
                 window_votes[_vote(left.older, left.newer, midnight)] -= 1
         newest[at] = lane[row]
-        most = 2 * max(window_votes[AHEAD], window_votes[BEHIND])
-        if recent_votes[NEXT_DAY] > recent_votes[TODAY] or most > window_votes[:UNKNOWN_DAY].sum():
+        most = 2 * max(window_votes[AHEAD], behind)
+        has_begun = recent_votes[NEXT_DAY] > recent_votes[TODAY] + recent_votes[YESTERDAY]
+        if has_begun or most > window_votes[:UNKNOWN_DAY].sum():
             return row
     return len(lane)
 
@@ -219,4 +222,5 @@ def _vote(older: float, newer: float, midnight: float) -> int:
         return AHEAD
     if older >= midnight and newer >= midnight:
         return NEXT_DAY
-    return BEHIND if older < midnight - BEHIND_LIMIT and newer < midnight - BEHIND_LIMIT else TODAY
+    since = midnight - max(older, newer)
+    return BEHIND if since > BEHIND_LIMIT else YESTERDAY if since > SECONDS_PER_DAY else TODAY

@@ -44,7 +44,7 @@ from socast.core.forecast.soc_filter import close_shift, filter_events
 from socast.core.forecast.weather_forecasts import ForecastArrival, WeatherForecasts
 from socast.core.totals.accumulator import Sums, Totals, join_totals
 from socast.core.totals.context import RunContext
-from socast.core.totals.tables import model_columns
+from socast.core.totals.tables import has_unsettled_clock, model_columns
 from socast.core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
 SHORT_SHIFT: Final = 0.5
@@ -192,7 +192,7 @@ class ForecastEngine:
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
         out["soc"], out["quantum"] = totals.at_last("soc"), totals.at_last("soc_step")
-        out["curve"] = totals.display["curve"]
+        out["curve"], out["unsettled"] = totals.display["curve"], has_unsettled_clock(totals)
         out["since_charge"], out["capacity"] = totals.at_last("since_charge"), self._cars.capacity[kind]
         out["driver"], out["driver_mean"], out["driver_variance"] = -1.0, np.nan, np.nan
 

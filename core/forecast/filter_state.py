@@ -60,7 +60,7 @@ FILTER_STATE: Final = np.dtype(
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
         ("level", "f8"),  # of the tables that predict it, as a logarithm
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
-        ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
+        ("faulty", "f8"),  # last time in the shift with a wrong reading or an unsettled clock, NaN for none [s]
         ("connected", "f8"),  # when the present or last charging began, or the silence in which it did [s]
         ("arrived", "f8"),  # the same of the last charge within the shift that lasted, NaN for none [s]
         ("arrival_soc", "f8"),  # last reading before that charge [1]
@@ -105,6 +105,7 @@ FILTER_EVENT: Final = np.dtype(
         ("since_charge", "f8"),  # time since charging, NaN for never [s]
         ("capacity", "f8"),  # nominal usable capacity [kWh]
         ("curve", "f8"),  # of the display, see `socast.core.totals.display_yield` [1]
+        ("unsettled", "f8"),  # 1 where the clock alternates or is not yet understood
         # of `DRIVER_NAMED` only
         ("driver", "f8"),  # code of the driver
         ("driver_mean", "f8"),  # mean of the driver's part of `a`

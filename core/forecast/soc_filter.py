@@ -128,6 +128,8 @@ def filter_events(events: Any, state: Any, prior: Any, estimates: Any, shifts: A
             car.quantum = min(car.quantum, quantum)
             update_with_totals(car, event)
             car.quantum = quantum
+            if event.unsettled:
+                car.faulty, car.awake_predicted = event.time, nan
         write_estimate(car, estimates[i])
     return closed
 

@@ -87,6 +87,11 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
     return columns | _physical(totals, measure_energy(totals, cars), cars) | texts
 
 
+def has_unsettled_clock(totals: Totals) -> NDArray[np.bool_]:
+    """Return whether the clock was not yet understood, or alternated, in each ride or idle period."""
+    return np.asarray(totals.amount("mistimed") > MOST_MISTIMED * totals.amount("duration"))
+
+
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     """Return why each ride is unfit for training.
 
@@ -108,7 +113,7 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
         ("speed_contradicted", find_contradicted_distance(totals)),
         ("charged", totals.at_last("since_charge") < 0.999 * duration - 1.0),
         ("bridge_unmeasured", totals.amount("unseen") > MOST_UNMEASURED * duration),
-        ("clock_unsettled", totals.amount("mistimed") > MOST_MISTIMED * duration),
+        ("clock_unsettled", has_unsettled_clock(totals)),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("distance_bridged", totals.share("bridged", "distance") > MOST_BRIDGED),
         ("speed_missing", rejected + totals.share("speed_missing") > MOST_REJECTED),

@@ -136,6 +136,11 @@ def test_missing_and_broken_tiles_are_refused_in_one_line(tile, tmp_path):
     assert "it is empty" in refused(tmp_path / "empty.hgt")
 
 
+def test_archive_that_expands_beyond_a_tile_is_refused(tmp_path):
+    (tmp_path / "N45W074.hgt.gz").write_bytes(gzip.compress(bytes(100_000_000), 1))
+    assert "it has more than 25,934,402 bytes" in refused(tmp_path / "N45W074.hgt.gz")
+
+
 def test_geotiff_that_is_cut_off_is_refused(tmp_path):
     path = geographic(tmp_path / "city.tif")
     path.write_bytes(path.read_bytes()[:100_000])

@@ -17,7 +17,7 @@ import pytest
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
-from socast.stream.loop import collect_garbage_rarely, run, stop_on_signals
+from socast.stream.loop import collect_garbage_rarely, run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.memory import MemorySink, MemorySource
@@ -26,6 +26,7 @@ from socast.stream.source import stop_source
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_source import ZenohSource
+from socast.tools.terminal.stop_signals import stop_on_signals
 from tests.support.recorded_shift import shift
 
 pytestmark = pytest.mark.long
@@ -272,13 +273,6 @@ def test_signal_ends_source_and_loop_finishes_normally(number):
     os.kill(os.getpid(), number)  # one that comes late changes nothing
 
 
-def test_handlers_return_where_nothing_was_asked():
-    before = [signal.getsignal(number) for number in ASKING]
-    with stop_on_signals():
-        pass
-    assert [signal.getsignal(number) for number in ASKING] == before
-
-
 class WorkingPipeline(BreakingPipeline):
     """The same pipeline without the error."""
 
@@ -298,15 +292,6 @@ def test_publish_period_limits_forecasts_and_end_publishes_last_ones():
     assert times[-1] == sent[-1].receipt_ns
     assert len(sent) / 5 <= len(times) <= len(sent) / 4 + 2
     assert times == sorted(times)
-
-
-def test_second_interrupt_raises_immediately():
-    with stop_on_signals() as stop:
-        os.kill(os.getpid(), signal.SIGINT)
-        assert stop.is_set()
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)  # what the second one set off is not interrupted
 
 
 def test_garbage_collector_visits_no_object_from_before_the_loop():

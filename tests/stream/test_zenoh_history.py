@@ -33,7 +33,9 @@ from tests.support.zenoh_sessions import eventually, router
 
 SPACES = ("weather/**", "fleet/**")
 AFTER = SETTLE_S + 0.01
-EVERYBODY = ["weather/**/@adv/pub/**", "fleet/**/@adv/pub/**"]
+CACHES = ["weather/**/@adv/pub/**", "fleet/**/@adv/pub/**"]
+STORED = ["weather/**", *(f"fleet/**/{kind}" for kind in ("telemetry", "vehicle", "ride", "plan", "batch"))]
+EVERYBODY = [*CACHES, *(f"{keys}?_time=[now(-1h)..]" for keys in STORED)]
 CAR = "fleet/a/telemetry/@adv/pub/1/0/_"
 OF_CAR = "fleet/**/@adv/pub/1/**"
 KEY = "fleet/a/telemetry"
@@ -126,7 +128,7 @@ def test_all_caches_are_asked_at_the_start_while_live_samples_wait():
     assert history.is_waiting
     assert history.release(1.0 + AFTER) == ([live], [cached])
     assert not history.is_waiting
-    assert history.asked == 2
+    assert history.asked == len(EVERYBODY)
 
 
 def test_a_session_that_appears_is_asked_alone_and_only_its_live_samples_wait():
@@ -170,7 +172,7 @@ def test_a_token_that_is_told_twice_is_asked_once():
     for _ in range(2):
         node.tell(CAR, zenoh.SampleKind.PUT)
     history.collect(1.0)
-    assert history.asked == 2 + 1
+    assert history.asked == len(EVERYBODY) + 1
 
 
 def test_only_so_many_sessions_are_asked_at_a_time_and_the_others_follow():
@@ -338,9 +340,9 @@ def test_the_cache_of_a_token_that_came_often_is_asked_later():
         node.answer()
         history.collect(1.1 + now)
         history.release(1.5 + now)
-    assert history.asked == 2 + RETURNS
+    assert history.asked == len(EVERYBODY) + RETURNS
     history.collect(1.0 + RETURNS_S)
-    assert history.asked == 2 + RETURNS + 1
+    assert history.asked == len(EVERYBODY) + RETURNS + 1
 
 
 def test_live_samples_of_a_session_whose_caches_never_answer_wait_for_a_limited_time():

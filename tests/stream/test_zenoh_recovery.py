@@ -7,8 +7,10 @@ from collections import Counter
 from contextlib import contextmanager
 from random import Random
 from threading import Event, Thread
+from typing import Any
 
 from socast.core.wire.messages import Message
+from socast.stream.zenoh_history import CacheHistory, merge_samples
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from tests.support.router_process import RouterProcess
@@ -22,6 +24,7 @@ KEYS, EACH = 600, 100
 PUBLISHER = f"""
 import sys
 from socast.core.wire.messages import Message
+from socast.stream.zenoh_history import CacheHistory, merge_samples
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
@@ -136,4 +139,42 @@ def test_publisher_of_many_new_keys_at_full_speed_loses_nothing_to_a_slow_consum
     assert source.missed == 0
     assert Counter(map(len, got.values())) == {EACH: KEYS}
     assert all(numbers == list(range(EACH)) for numbers in got.values())
-    assert asked <= 6, "only the session is asked, not every key"
+    assert asked <= 12, "beside caches and storages of all, only the session is asked, not every key"
+
+
+@contextmanager
+def storing(session):
+    """Stand for a storage of a fleet: it keeps samples, and returns them, newest first, with their keys and stamps."""
+    kept: list[Any] = []
+
+    def answer(query):
+        with query:
+            assert "_time" in query.parameters
+            for each in reversed(kept):
+                if query.key_expr.intersects(each.key_expr):
+                    query.reply(each.key_expr, each.payload, timestamp=each.timestamp)
+
+    parts = session.declare_subscriber("fleet/**", kept.append), session.declare_queryable("fleet/**", answer)
+    yield kept
+    for part in parts:
+        part.undeclare()
+
+
+def test_storage_returns_in_order_what_came_and_went_before_the_start():
+    sent = [b'{"n":%d}' % n for n in range(400)]
+    got: list[Any] = []
+    with RouterProcess() as router, router.join() as node, router.join() as other, storing(other.session) as kept:
+        with router.join() as taxi:  # without a cache, and gone before the consumer comes
+            for payload in sent:
+                taxi.session.put("fleet/a/telemetry", payload)
+            taxi.flush()
+        assert eventually(lambda: len(kept) == len(sent))
+        history = CacheHistory(node, ("weather/**", "fleet/**"))
+
+        def has_all() -> bool:
+            history.collect(now := time.monotonic())
+            got.extend(history.release(now)[1])
+            return [each.payload.to_bytes() for each in merge_samples(got)] == sent
+
+        assert eventually(has_all)
+        history.close()

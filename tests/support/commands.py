@@ -12,7 +12,7 @@ import pytest
 
 from socast.tools.cli import main
 
-SOCAST: Final = (sys.executable, "-m", "socast.tools.cli")
+SOCAST: Final = (sys.executable, "-m", "socast")
 """What starts the command line in a process of its own."""
 
 

@@ -179,7 +179,7 @@ def bridge_process(broker: MqttBroker, endpoint: str, *options: str) -> Iterator
     command = [
         sys.executable,
         "-m",
-        "socast.tools.cli",
+        "socast",
         "bridge",
         "ovms",
         "--broker",

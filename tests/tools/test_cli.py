@@ -493,7 +493,7 @@ def test_demo_shows_cars_and_ends_with_a_verdict(recording, tmp_path):
 
 
 def test_closed_pipe_gives_no_traceback(recording):
-    command = f"{sys.executable} -m socast.tools.cli info {recording} | head -1"
+    command = f"{sys.executable} -m socast info {recording} | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
     assert "Traceback" not in done.stderr
     assert os.linesep in done.stdout

@@ -2,6 +2,7 @@
 
 import json
 import os
+import subprocess
 from contextlib import suppress
 from threading import Thread
 
@@ -39,6 +40,8 @@ CONTENTS = {
     "lone surrogate": b'{"a": "\\ud800"}',
     "path": b'"../../etc/passwd" = 1\n',
     "long line": b"x" * 1_000_000,
+    "JSON5 that is nested 100,000 times": b"{connect: " + b"[" * 100_000 + b"]" * 100_000 + b"}",
+    "numbers in place of names": b'{"mode": 1, "connect": 2, "listen": {"endpoints": 5}}',
 }
 COMMANDS = {
     "model.json": ("history",),
@@ -46,17 +49,20 @@ COMMANDS = {
     "live.toml": ("live", "--settings"),
     "map.toml": ("import", "csv", RECORDINGS / "logger.csv", "--map"),
     "effects.py": ("effects", "check"),
+    "router.json5": ("router", "--listen", "tcp/127.0.0.1:0", "--config"),
+    "adapt.json": ("fit", RECORDINGS / "shift.mcap", "--out", "unused.json", "--adapt"),
 }
+STATE = "live.state", ("live", "--listen", "tcp/127.0.0.1:0", "--state")
 
 
 @pytest.mark.parametrize("content", CONTENTS)
-@pytest.mark.parametrize("name", COMMANDS)
-def test_forged_file_is_one_line(tmp_path, capsys, name, content):
+@pytest.mark.parametrize(("name", "command"), [*COMMANDS.items(), STATE])
+def test_forged_file_is_one_line(tmp_path, capsys, name, command, content):
     if (name, content) == ("live.toml", "nothing"):
         pytest.skip("an empty file sets nothing")
     path = tmp_path / name
     path.write_bytes(CONTENTS[content])
-    assert len(refused(capsys, *COMMANDS[name], path)) < LONGEST_LINE + 100
+    assert len(refused(capsys, *command, path)) < LONGEST_LINE + 100
 
 
 @pytest.mark.parametrize("content", CONTENTS)
@@ -68,6 +74,27 @@ def test_forged_file_is_no_traceback_where_the_product_reads_its_own(tmp_path, r
     path.write_bytes(CONTENTS[content])
     with suppress(SocastError):
         read(path)
+
+
+BEGIN = "from socast import effect\n"
+DECLARED = "@effect(coefficient='c', unit='N', low=0, high=60, source='s')\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            f"{DECLARED}def big({', '.join(f'c{i}' for i in range(9_000))}):\n    return c0\n",
+            "9,000 is more than 100",
+        ),
+        ("".join(f"{DECLARED}def e{i}(speed):\n    return speed\n" for i in range(5000)), "5,000 is more than 1,000"),
+    ],
+    ids=["columns", "effects"],
+)
+def test_file_of_too_many_effects_or_columns_is_one_line(tmp_path, capsys, content, words):
+    path = tmp_path / "effects.py"
+    path.write_text(BEGIN + content)
+    assert words in refused(capsys, "effects", "check", path)
 
 
 PLACES = {
@@ -101,6 +128,20 @@ def test_endless_device_in_place_of_an_archive_is_one_line(tmp_path, capsys, mon
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tile.zip").symlink_to("/dev/zero")
     assert "it is no file" in refused(capsys, *READERS["tile.zip"], "tile.zip")
+
+
+@pytest.mark.parametrize(("name", "command"), [("router.json5", COMMANDS["router.json5"]), STATE])
+def test_endless_pipe_ends_at_the_limit(tmp_path, capsys, monkeypatch, name, command):
+    monkeypatch.setattr(errors, "LARGEST_INPUT", 1 << 22)
+    monkeypatch.setattr(errors.read_input, "__defaults__", (1 << 22,))
+    path = tmp_path / name
+    os.mkfifo(path)
+    writer = subprocess.Popen(["/bin/sh", "-c", f"exec yes > {path}"])
+    try:
+        assert "above the limit of 4,194,304" in refused(capsys, *command, path)
+    finally:
+        writer.kill()
+        writer.wait()
 
 
 def test_pipe_with_a_writer_is_read(tmp_path, capsys):

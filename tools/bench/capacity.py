@@ -11,23 +11,16 @@ import multiprocessing
 import subprocess
 import sys
 import time
-from multiprocessing.synchronize import Event as ProcessEvent
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import psutil
 
-from socast.stream.zenoh_session import Connection, Node, find_free_port
-from socast.tools.bench.live import WARM_UP, publish_stream
+from socast.stream.zenoh_session import Connection, find_free_port
+from socast.tools.bench.live import WARM_UP, publish_stream, run_router
 
 PATIENCE_S = 300.0
-
-
-def run_router(endpoint: str, stop: ProcessEvent) -> None:
-    """Run a router until it is stopped."""
-    with Node(Connection(listen=(endpoint,), mode="router")):
-        stop.wait()
 
 
 def count_bytes(port: int) -> dict[str, int]:
@@ -61,12 +54,13 @@ def measure(cars: int, rounds: int, folder: Path) -> dict[str, Any]:
     context, port = multiprocessing.get_context("spawn"), find_free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
     ready, go, stop = context.Event(), context.Event(), context.Event()
-    router = context.Process(target=run_router, args=(endpoint, stop))
+    listening = context.Event()
+    router = context.Process(target=run_router, args=(Connection(listen=(endpoint,), mode="router"), listening, stop))
     router.start()
-    time.sleep(3.0)
+    listening.wait(PATIENCE_S)
     log, kept = folder / "consumer.log", folder / "kept"
     files = "--record", kept, "--state", folder / "fleet.state", "--report", 1.0, "--max-vehicles", 10_000_000
-    command = [sys.executable, "-m", "socast.tools.cli", "live", "--connect", endpoint, "--json-log", *map(str, files)]
+    command = [sys.executable, "-m", "socast", "live", "--connect", endpoint, "--json-log", *map(str, files)]
     with log.open("w") as file:
         consumer = subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
     connections = [Connection(connect=(endpoint,))]

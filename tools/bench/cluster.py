@@ -38,7 +38,7 @@ FEW_CARS: Final = 8
 """Number of cars that are simulated both ways."""
 RECIPE: Final = "hybrid"
 EVALUATED: Final = ("--recipes", "basic_physical,fitted_physical", "--repeats", "2")
-COMMAND: Final = [sys.executable, "-m", "socast.tools.cli"]
+COMMAND: Final = [sys.executable, "-m", "socast"]
 
 
 class Run(NamedTuple):

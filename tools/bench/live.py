@@ -110,6 +110,13 @@ def connect_plainly(sessions: int = 1) -> tuple[Connection, list[Connection]]:
     return Connection(listen=(endpoint,), mode="router"), [Connection(connect=(endpoint,))] * sessions
 
 
+def run_router(connection: Connection, ready: ProcessEvent, stop: ProcessEvent) -> None:
+    """Run a router until it is stopped."""
+    with Node(connection):
+        ready.set()
+        stop.wait()
+
+
 def time_stream(
     ends: tuple[Connection, Sequence[Connection]], cars: int, turns: int, consume: Consumer, *, batched: bool = False
 ) -> Cost:
@@ -243,9 +250,21 @@ def compare_consumers(streams: Sequence[Callable[[], Cost]], repeats: int) -> li
     return [Cost(*costs) for costs in np.median(rounds, axis=0).tolist()]
 
 
-def _time_plainly(cars: int, turns: int, consume: Consumer, *, batched: bool = False) -> Cost:
-    """Return what a consumer takes for a stream of one session over plain TCP."""
-    return time_stream(connect_plainly(), cars, turns, consume, batched=batched)
+def _time_plainly(cars: int, turns: int, consume: Consumer, *, batched: bool = False, routed: bool = False) -> Cost:
+    """Return what a consumer takes for a stream of one session over plain TCP, through its own or another router."""
+    router, connections = connect_plainly()
+    if not routed:
+        return time_stream((router, connections), cars, turns, consume, batched=batched)
+    context = multiprocessing.get_context("spawn")
+    ready, stop = context.Event(), context.Event()
+    process = context.Process(target=run_router, args=(router, ready, stop))
+    process.start()
+    try:
+        ready.wait(PATIENCE_S)
+        return time_stream((connections[0], connections), cars, turns, consume)
+    finally:
+        stop.set()
+        process.join(PATIENCE_S)
 
 
 def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> list[Measure]:
@@ -254,7 +273,8 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> list[M
     consumers = [make(cars, turns) for make in (make_idle_consumer, make_bare_consumer, make_full_consumer)]
     streams = [partial(_time_plainly, cars, turns, consumer) for consumer in consumers]
     streams.append(partial(_time_plainly, cars, turns, consumers[-1], batched=True))
-    idle, bare, full, batched = compare_consumers(streams, repeats)
+    streams.append(partial(_time_plainly, cars, turns, consumers[-1], routed=True))
+    idle, bare, full, batched, routed = compare_consumers(streams, repeats)
     cpu = {
         f"{name}_cpu_us": cost.cpu_s / total * 1e6 for name, cost in (("idle", idle), ("bare", bare), ("live", full))
     }
@@ -284,6 +304,15 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> list[M
             "<= 1.8",
             {},
             "As above. The reader is what Python takes at least for a sample that is used.",
+        ),
+        Measure(
+            f"processor time of a sample in the {name}, through another router",
+            "through its own",
+            routed.cpu_s / full.cpu_s,
+            "<= 1.5",
+            {"routed_cpu_us": routed.cpu_s / total * 1e6, "routed_samples_per_s": total / routed.wall_s},
+            "The consumer declares the keys that it receives. A client of a router would otherwise compare each sample "
+            "with the tokens of all publishers.",
         ),
         Measure(
             f"live consumer, batches of {BATCH_ROWS:,} samples in Arrow's format",

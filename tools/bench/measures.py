@@ -258,7 +258,7 @@ def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> M
 
 def measure_start(words: str, goal: float, bound: str) -> Measure:
     """Measure a command that prints and ends, against `python -c pass`."""
-    command = ("-m", "socast.tools.cli", *words.split())
+    command = ("-m", "socast", *words.split())
     for arguments in (BARE, command):
         _run(*arguments)  # the first run compiles modules to byte code
     bare_s, command_s = alternate_timings(

@@ -11,7 +11,7 @@ import typer
 
 from socast.core.errors import SettingsError, read_input, suggest_names
 from socast.core.vehicles import load_catalogue
-from socast.stream.loop import REPORT_S, stop_on_signals
+from socast.stream.loop import REPORT_S
 from socast.stream.mqtt_source import Broker, MqttSource, check_broker
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_delivery import ZenohDelivery
@@ -23,6 +23,7 @@ from socast.tools.bridge.row_assembler import HOLD_S, PERIOD_S, RowAssembler
 from socast.tools.bridge.vss import NEWEST, VssReader, VssSource
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import VehicleFiles
+from socast.tools.terminal.stop_signals import stop_on_signals
 
 PASSWORD: Final = "SOCAST_MQTT_PASSWORD"  # noqa: S105 - the name of an environment variable
 """Environment variable with the password of the broker."""

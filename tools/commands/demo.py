@@ -17,7 +17,7 @@ from socast.core.errors import SettingsError, SocastError
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
-from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run, stop_on_signals
+from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import Connection, Node
@@ -40,6 +40,7 @@ from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ri
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, advise_fit, find_models, load_models
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes
+from socast.tools.terminal.stop_signals import stop_on_signals
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 
 RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
@@ -130,7 +131,7 @@ def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: Li
                 )
             finally:
                 publisher.terminate()
-            failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, -15} else ""
+            failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, 130, -15} else ""
     if failure:
         raise SocastError(f"the publisher failed: {failure.splitlines()[-1]}")
     return source.missed or 0

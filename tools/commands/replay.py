@@ -24,7 +24,6 @@ from socast.core.formatting import format_count
 from socast.core.models import LinearModel
 from socast.core.settings import Settings
 from socast.core.wire.messages import ModelErrors
-from socast.stream.loop import stop_on_signals
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import replace_recording
 from socast.stream.source import Sink, Source, merge_sources, pace_source, stop_source
@@ -60,6 +59,7 @@ from socast.tools.terminal.recordings import (
     warn_of_losses,
 )
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
+from socast.tools.terminal.stop_signals import stop_on_signals
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 from socast.tools.testing.difference_report import make_record, show_comparison
 from socast.tools.testing.golden_files import (

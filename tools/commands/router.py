@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from socast.stream.loop import stop_on_signals
 from socast.stream.structured_log import event_fields, log_lines
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
+from socast.tools.terminal.stop_signals import stop_on_signals
 
 _log = logging.getLogger("socast.router")
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.condition.records import CarCondition, CarEvent, ConditionStep, FleetCondition, Trend
-from socast.core.formatting import format_minus, word_date
+from socast.core.formatting import format_minus, word_date, word_since
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.report.document import Illustration, Report, Section, print_section
@@ -173,11 +173,9 @@ def _word_change(percent: float, interval: ConfidenceInterval) -> str:
 
 def _word_step(step: ConditionStep) -> str:
     """Return a sudden change in words."""
-    low, high = (word_date(each) for each in step.interval)
-    more = [f"between {low} and {high}"] if low != high else []
-    more += [f"with {' and '.join(map(_name_event, step.events))}"] if step.events else []
-    between = f" ({', '.join(more)})" if more else ""
-    return f"{_word_change(step.change_pct, step.ci95_pct)} since {word_date(step.since)}{between}"
+    since = word_since(step.since, step.interval)
+    events = f", with {' and '.join(map(_name_event, step.events))}" if step.events else ""
+    return f"{_word_change(step.change_pct, step.ci95_pct)} {since}{events}"
 
 
 def tabulate_cars(result: FleetCondition) -> ReportTable:
@@ -193,7 +191,7 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
             ("rate, %/year", lambda car: _format_rate(car.consumption)),
             ("changed", _list_changes),
             ("usable, kWh", _format_usable),
-            ("battery, %/year", lambda car: _format_rate(car.capacity)),
+            ("its rate, %/year", lambda car: _format_rate(car.capacity)),
         ],
         (NOTE, STEP_NOTE),
     )

@@ -79,6 +79,8 @@ PERSON: Final = 75.0
 """Mass of a person. [kg]"""
 LOWEST_SPEED: Final = 1.5
 """Speed below which there is no regeneration. [m/s]"""
+TURNING_LOSS: Final = 130.0, 18.0
+"""Losses of a motor that turns without load: a power, and a force. [W], [N]"""
 COMFORT: Final = (20.5, 23.0)
 """Temperatures below which the cabin is heated and above which it is cooled. [°C]"""
 
@@ -268,7 +270,7 @@ def _powertrain(car: Car, on: Phenomena, wheel: float, speed: float, soc: float,
     row[LOSSES] = through * (1 / car.efficiency - 1) if wheel >= 0 else through * (1 - car.efficiency)
     if on.motor_map and speed > 0:
         best = 0.75 * (1 - car.efficiency)
-        row[LOSSES] = 130.0 + 18.0 * speed + best * through + 0.12 * through**2 / car.motor_power
+        row[LOSSES] = TURNING_LOSS[0] + TURNING_LOSS[1] * speed + best * through + 0.12 * through**2 / car.motor_power
 
 
 @njit(cache=True)

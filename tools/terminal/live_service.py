@@ -21,7 +21,7 @@ from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
 from socast.stream.idle_keys import IdleKeys
-from socast.stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
+from socast.stream.loop import PUBLISH_S, REPORT_S, Watch, combine_watches, run
 from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
 from socast.stream.recording_metadata import list_changed_settings
@@ -45,6 +45,7 @@ from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ri
 from socast.tools.terminal.model_comparison import advise_fit, load_models, make_log_fields
 from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
 from socast.tools.terminal.output import refuse
+from socast.tools.terminal.stop_signals import act_on_hangup, stop_on_signals
 
 UNCOUNTED: Final = 2.0
 """Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""

@@ -1,6 +1,5 @@
 """The server of the workbench: it listens, prints the address with its token, and stops cleanly on Ctrl-C."""
 
-import asyncio
 import logging
 import signal
 import socket
@@ -88,13 +87,14 @@ class WorkbenchServer:
         return self._server.started
 
     def run(self) -> None:
-        """Serve until SIGINT or SIGTERM, or until `stop` is called."""
+        """Serve until a signal, or until `stop` is called."""
         if not is_loopback(self.host):
             _log.warning(
                 "the pages are not encrypted: whoever can read the network between a browser and %s can read them", self
             )
-        self._announce(self.address)
-        self._server.run(sockets=[self._socket])
+        with self._server.obey_signals():
+            self._announce(self.address)
+            self._server.run(sockets=[self._socket])
 
     def stop(self) -> None:
         """Stop serving; another thread may call this."""
@@ -108,21 +108,26 @@ class _Server(uvicorn.Server):
     """Stop at the first signal, and leave the process in the order that the caller chose."""
 
     @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Stop on SIGINT and SIGTERM, where the loop runs in the main thread."""
-        loop = asyncio.get_running_loop()
-        numbers = [signal.SIGINT, signal.SIGTERM] if current_thread() is main_thread() else []
-        for number in numbers:
-            loop.add_signal_handler(number, self._stop)
+    def obey_signals(self) -> Iterator[None]:
+        """Stop on SIGINT, SIGTERM and SIGHUP, where this is the main thread."""
+        numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP] if current_thread() is main_thread() else []
+        handlers = {number: signal.getsignal(number) for number in numbers}
+        before = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
+        for number in before:
+            signal.signal(number, self._stop)
         try:
             yield
         finally:
-            for number in numbers:
-                loop.remove_signal_handler(number)
-                if self.should_exit:  # the process ends: a signal that comes late must not change its exit code
-                    signal.signal(number, lambda *_: None)
+            if not self.should_exit:  # else the process ends: a signal that comes late must not change its exit code
+                for number, handler in before.items():
+                    signal.signal(number, handler)
 
-    def _stop(self) -> None:
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave the signals alone: they are obeyed already."""
+        yield
+
+    def _stop(self, *_: object) -> None:
         """Stop; at the second signal, do not wait for open connections."""
         self.force_exit = self.should_exit
         self.should_exit = True

@@ -39,7 +39,7 @@ from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals, join_totals
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import compute_largest_energy, measure_energy
-from socast.core.totals.tables import unfit_reason
+from socast.core.totals.tables import has_unsettled_clock, unfit_reason
 from socast.core.vehicles.fleet import UNKNOWN
 
 ACCEPTED_UNFITNESS: Final = (None, "too_long")
@@ -138,7 +138,7 @@ class FleetStatistics:
         duration = idle.amount("duration")
         whole = idle.at_last("time") - idle.at_first("time") <= duration + LONGEST_GAP
         charged = idle.at_last("since_charge") < duration + LONGEST_GAP
-        return np.asarray(whole & ~charged & (idle.at_first("time") > 0.0))
+        return np.asarray(whole & ~charged & ~has_unsettled_clock(idle) & (idle.at_first("time") > 0.0))
 
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""

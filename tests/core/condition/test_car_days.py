@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from socast.core.condition.car_days import gather_car_days, subtract_siblings
+from socast.core.condition.car_days import estimate_day_noise, gather_car_days, subtract_siblings
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import ComparedRides
 from socast.tools.bench.condition_fleets import make_fleet
@@ -14,8 +14,8 @@ def rides(days=8, cars=("b", "a"), **columns):
     """Return rides of 2 kWh that lower the display by 10 %, two for each car and day."""
     rows = [(car, f"2020-01-{day + 1:02}") for day in range(days) for car in cars for _ in range(2)]
     frame = pd.DataFrame(rows, columns=["vehicle_id", "date"])
-    same = {"vehicle_model": "m", "nominal_capacity_kwh": 20.0, "energy_vi_kwh": 2.0, "soc_start_pct": 60.0}
-    frame = frame.assign(**same, soc_end_pct=50.0, ambient_c=10.0)
+    same = {"vehicle_model": "m", "nominal_capacity_kwh": 20.0, "energy_kwh": 2.0, "energy_vi_kwh": 2.0}
+    frame = frame.assign(**same, soc_start_pct=60.0, soc_end_pct=50.0, ambient_c=10.0)
     return frame.assign(**columns)
 
 
@@ -30,6 +30,20 @@ def test_car_day_is_the_energy_of_its_rides_over_the_prediction():
     assert days.cars == ["a", "b"]
     assert days.consumption.value == pytest.approx(np.full((2, 8), np.log(1.1)))
     assert days.consumption.amount == pytest.approx(np.full((2, 8), 4.0))
+
+
+def test_noise_of_the_meter_is_known_variance():
+    frame = rides(energy_vi_kwh=np.nan, energy_soc_noise_kwh=0.1)
+    days = gather_car_days(compared(frame), "m")
+    assert days.consumption.extra == pytest.approx(np.full((2, 8), 2 * 0.1**2 / 4.0**2))
+    assert (days.capacity.extra == 0.0).all()
+
+
+def test_days_far_off_count_less_as_siblings():
+    fleet = make_fleet(1)
+    fleet.value[2, 30] = fleet.value[2, 29] + 0.8
+    noise = estimate_day_noise(fleet, ["m"] * 8)
+    assert noise[2, 30] > 20.0 * np.median(noise[2])
 
 
 def test_capacity_is_the_energy_over_the_fall_of_the_display():
@@ -68,9 +82,9 @@ def test_few_dates_are_refused_with_the_number_and_the_limit():
 
 def test_what_all_cars_share_is_taken_off_and_levels_stay():
     fleet = make_fleet(1)
-    apart = subtract_siblings(fleet, ["m"] * 8, 0.04**2, 0.15**2)
+    apart = subtract_siblings(fleet, ["m"] * 8)
     shared = fleet._replace(value=fleet.value + np.linspace(-0.2, 0.2, 120))
-    again = subtract_siblings(shared, ["m"] * 8, 0.04**2, 0.15**2)
+    again = subtract_siblings(shared, ["m"] * 8)
     enough = np.isfinite(fleet.value).sum(axis=0) >= 3
     moved = (again.value - apart.value)[:, enough]
     assert np.nanmax(np.abs(moved - np.nanmean(moved))) < 0.02  # the level of each car is its median
@@ -79,14 +93,13 @@ def test_what_all_cars_share_is_taken_off_and_levels_stay():
 def test_siblings_count_without_their_steps():
     fleet = make_fleet(1, cars=3, step=0.3)
     plain = make_fleet(1, cars=3)
-    sizes = 0.04**2, 0.15**2
-    apart = subtract_siblings(fleet, ["m"] * 3, *sizes, plain.value)
-    assert apart.value[1:] == pytest.approx(subtract_siblings(plain, ["m"] * 3, *sizes).value[1:], nan_ok=True)
+    apart = subtract_siblings(fleet, ["m"] * 3, without=plain.value)
+    assert apart.value[1:] == pytest.approx(subtract_siblings(plain, ["m"] * 3).value[1:], nan_ok=True)
     assert np.nanmean((apart.value - plain.value)[0, 60:]) > 0.2
 
 
 def test_car_without_siblings_is_as_it_is():
     fleet = make_fleet(2, cars=2)
-    apart = subtract_siblings(fleet, ["m", "n"], 0.04**2, 0.15**2)
+    apart = subtract_siblings(fleet, ["m", "n"])
     assert apart.value == pytest.approx(fleet.value, nan_ok=True)
     assert (apart.extra == 0.0).all()

@@ -29,7 +29,7 @@ def test_smoothed_path_is_that_of_the_dense_gaussian_model():
     level = LEVEL_SD**2 + (KNOWN.rate / YEAR) ** 2 * np.outer(time, time)
     level += KNOWN.wander**2 / YEAR * np.minimum.outer(time, time)
     known = np.isfinite(value[0])
-    noise = np.diag(series.compute_variance(KNOWN.of_day**2, KNOWN.of_amount**2)[0])
+    noise = np.diag(series.compute_variance(KNOWN)[0])
     gain = level[:, known] @ np.linalg.inv((level + noise)[np.ix_(known, known)])
     first = value[0, 0]
     assert path.level[0] == pytest.approx(first + gain @ (value[0, known] - first), abs=1e-9)
@@ -37,7 +37,7 @@ def test_smoothed_path_is_that_of_the_dense_gaussian_model():
 
 
 def test_sizes_of_noise_are_estimated_from_all_cars():
-    apart = subtract_siblings(make_fleet(4, days=300), ["m"] * 8, 0.04**2, 0.15**2)
+    apart = subtract_siblings(make_fleet(4, days=300), ["m"] * 8)
     found, _ = estimate_wandering(apart, CONSUMPTION)
     assert np.hypot(found.of_day, found.of_amount / np.sqrt(15.0)) == pytest.approx(np.hypot(0.03, 0.039), rel=0.3)
     assert 0.004 < found.wander < 0.025
@@ -53,11 +53,18 @@ def test_days_far_off_have_more_variance():
 def test_intervals_of_rates_hold_the_truth():
     held = []
     for seed in range(12):
-        apart = subtract_siblings(make_fleet(seed, days=300), ["m"] * 8, 0.04**2, 0.15**2)
+        apart = subtract_siblings(make_fleet(seed, days=300), ["m"] * 8)
         found, heavy = estimate_wandering(apart, CONSUMPTION)
         path = smooth_levels(heavy, found)
         held += list(np.abs(path.rate) < 1.96 * path.rate_sd)
     assert 0.88 <= np.mean(held) <= 0.99
+
+
+def test_rate_is_not_drawn_towards_zero_by_its_prior():
+    time = np.arange(60)
+    trend = Series(FIRST + time, 0.1 * time[np.newaxis] / YEAR, np.full((1, 60), 10.0), np.zeros((1, 60)))
+    for rate in (0.01, 0.03):
+        assert smooth_levels(trend, KNOWN._replace(rate=rate)).rate[0] == pytest.approx(0.1, rel=1e-3)
 
 
 def test_car_without_values_has_no_path():

@@ -17,7 +17,7 @@ QUIET = Wandering(0.03, 0.0, 0.01, 0.03)
 
 
 def steps_of(fleet):
-    apart = subtract_siblings(fleet, ["m"] * len(fleet.value), CONSUMPTION.of_day**2, CONSUMPTION.of_amount**2)
+    apart = subtract_siblings(fleet, ["m"] * len(fleet.value))
     return separate_steps(apart, CONSUMPTION)[2]
 
 

@@ -30,15 +30,10 @@ def test_mixture_is_that_of_a_smoother_for_each_shock():
     of_steps = chances, plain.score[PLACES] / precise, 1.0 / precise
     added = mix_shocks(np.isfinite(value), noise, GAPS, BROKEN, VARIANCES, PLACES, *of_steps)
     weights = np.array([1.0 - chances.sum(), *chances])
-    for name, at in (("level", slice(None)), ("rate", -1)):
-        means, variances = (
-            np.array([getattr(run, one)[at] for run in runs])
-            for one in (name, "variance" if name == "level" else "rate_variance")
-        )
-        mean = weights @ means
-        assert getattr(plain, name)[at] + getattr(added, name) == pytest.approx(mean, abs=1e-12)
-        more = getattr(added, "variance" if name == "level" else "rate_variance")
-        assert variances[0] + more == pytest.approx(weights @ (variances + (means - mean) ** 2), rel=1e-9)
+    means, variances = (np.array([getattr(run, name) for run in runs]) for name in ("level", "variance"))
+    mean = weights @ means
+    assert plain.level + added.level == pytest.approx(mean, abs=1e-12)
+    assert variances[0] + added.variance == pytest.approx(weights @ (variances + (means - mean) ** 2), rel=1e-9)
 
 
 def test_nothing_is_added_without_a_shock():

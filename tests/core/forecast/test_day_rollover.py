@@ -120,6 +120,14 @@ def test_day_that_is_ahead_is_corrected_by_most_active_cars(wrong):
     assert np.floor(at[1:] / DAY).tolist() == [19_000.0, 19_001.0, 19_002.0]
 
 
+def test_first_car_whose_clock_is_a_day_ahead_delays_no_rollover():
+    fellows = [sent(car, period=60.0) for car in range(1, 6)]
+    _, lane, stamp = stream(sent(0, period=60.0, wrong=DAY), *fellows)
+    _, *others = stream(*fellows)
+    times = stamp[find_rollover_rows(lane, stamp)]
+    assert set(others[1][find_rollover_rows(*others)][1:]) <= set(times)
+
+
 def test_one_rollover_after_idle_days():
     _, lane, stamp = stream(
         *(sent(car, days=0.3) for car in range(4)), *(sent(car, since=5.7 * DAY, days=6) for car in range(4))

@@ -36,7 +36,7 @@ def test_vss_signals_of_a_car_arrive_as_telemetry_and_the_end_is_logged():
             "depot/fleet/*/*", lambda sample: rows.append(json.loads(sample.payload.to_bytes()))
         )
         options = ["--connect", router.endpoint, "--prefix", "depot", "--from-prefix", "cars", "--model", "bmw-i3-2014"]
-        command = [sys.executable, "-m", "socast.tools.cli", "bridge", "vss", "--json-log", "--report", "0.2", *options]
+        command = [sys.executable, "-m", "socast", "bridge", "vss", "--json-log", "--report", "0.2", *options]
         with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as bridge:
             wait_for_line(bridge, '"counters"')
 

@@ -84,7 +84,7 @@ def test_known_events_are_told_in_the_words_of_their_cars(known):
     since = result["cars"][0]["consumption"]["steps"][0]["since"]
     days = (date(2018, 11, 18) - date.fromisoformat(since)).days
     assert f"new tyres on 18 November 2018, {days} days after the step" in printed
-    assert "with <brakes> on 10 November 2018)" in printed
+    assert "with <brakes> on 10 November 2018" in printed
     assert "Known of taxi-004: event on 21 November 2018." in printed
     assert "Known of all cars: update on 1 November 2018." in printed
     assert "1 known event is of other cars, or outside the dates, and left out." in printed

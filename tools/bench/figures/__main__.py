@@ -30,8 +30,10 @@ class Measurement(NamedTuple):
 _BENCH: Final = "socast.tools.bench"
 TWO_FOLDERS: Final = "evaluation", "soc-forecasts"
 """Measurements that take the folders of two cars, if they are given."""
+REAL: Final = "real-cars", "real-condition"
+"""Measurements that take the folders of three cars, and are left out without one."""
 REAL_FOLDERS: Final = 3
-"""Number of folders of drives that the measurement of real cars takes."""
+"""Their number."""
 MEASUREMENTS: Final = {
     "evaluation": Measurement(5, (f"{_BENCH}.figures.evaluation", "--keep", "build/evaluation")),
     "soc-forecasts": Measurement(15, (f"{_BENCH}.figures.soc_forecasts", "--keep", "build/soc")),
@@ -51,7 +53,7 @@ MEASUREMENTS: Final = {
     ),
     "condition": Measurement(2, (f"{_BENCH}.condition_fleets",)),
     "waterfall": Measurement(
-        10, (f"{_BENCH}.waterfall", "--publish", "--seeds", "3301-3310", "--json", "build/waterfall.json")
+        10, (f"{_BENCH}.waterfall", "--publish", "--seeds", "3601-3610", "--json", "build/waterfall.json")
     ),
     "siblings": Measurement(10, (f"{_BENCH}.siblings", "--publish", "--seeds", "325-334", "--keep", "build/siblings")),
     "coefficients": Measurement(
@@ -62,6 +64,7 @@ MEASUREMENTS: Final = {
         15, (f"{_BENCH}.elevation", "--publish", "5001", "5002", "5003", "--json", "build/elevation.json")
     ),
     "real-cars": Measurement(15, (f"{_BENCH}.real_cars", "--publish", "--keep", "build/real")),
+    "real-condition": Measurement(2, (f"{_BENCH}.real_condition", "--keep", "build/real")),
     "league": Measurement(5, (f"{_BENCH}.league", "--publish", "--drives", "10000")),
     "live-cost": Measurement(2, (f"{_BENCH}.live_cost", "--publish")),
     "speed": Measurement(10, (_BENCH,)),
@@ -83,10 +86,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console, failed = Console(), []
     for name in names:
         measurement = MEASUREMENTS[name]
-        if name == "real-cars" and len(folders) < REAL_FOLDERS:
-            console.print("real-cars: left out; it takes --ved, --i3 and --model3", highlight=False)
+        if name in REAL and len(folders) < REAL_FOLDERS:
+            console.print(f"{name}: left out; it takes --ved, --i3 and --model3", highlight=False)
             continue
-        real = folders if name == "real-cars" else []
+        real = folders if name in REAL else []
         real = folders[:2] if name in TWO_FOLDERS and given.ved and given.i3 else real
         console.print(f"{name}: about {measurement.minutes} min", highlight=False)
         began = time.monotonic()

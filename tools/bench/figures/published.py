@@ -123,7 +123,7 @@ def write_json(file: Path | None, content: Any) -> None:
 def run_command(tree: Path, words: Sequence[str]) -> None:
     """Run a command of `socast` from a source tree."""
     done = subprocess.run(  # noqa: S603 - the words are ours
-        [sys.executable, "-m", "socast.tools.cli", *words],
+        [sys.executable, "-m", "socast", *words],
         cwd=tree,  # `-m` searches the working folder first
         env={**os.environ, "PYTHONPATH": str(tree)},
         capture_output=True,
