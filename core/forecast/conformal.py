@@ -56,11 +56,13 @@ DAY_MEMORY: Final = 0.98
 _EDGES: Final = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
 _PRIOR: Final = np.array([np.diff(stdtr(PRIOR_FREEDOM, _EDGES / scale)) for scale in PRIOR_SCALES])
 """Share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
-_PUBLISHED: Final = [LEVELS.index(level) for level in (0.5, LOWER_LEVEL, UPPER_LEVEL)]
 
 
 class ErrorBounds(NamedTuple):
-    """Hold the median and the bounds of the standardised error of n forecasts, (n,) float each. [1]"""
+    """Hold the middle and the bounds of the standardised error of n forecasts, (n,) float each. [1]
+
+    The middle is the forecast itself, moved into its bounds: so the figures of an answer add up.
+    """
 
     middle: Floats
     lower: Floats
@@ -101,7 +103,8 @@ class ConformalIntervals:
     def get_quantiles(self, basis: Ints, ahead_km: Floats) -> tuple[Floats, ErrorBounds]:
         """Return the distribution of the standardised error of each forecast."""
         table = self.table[basis, classify(ahead_km)]
-        return table, ErrorBounds(*table[:, _PUBLISHED].T)
+        lower, upper = (table[:, LEVELS.index(level)] for level in (LOWER_LEVEL, UPPER_LEVEL))
+        return table, ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -152,7 +152,7 @@ def test_ride_of_the_length_of_the_range_reaches_the_reserve_with_even_odds(plan
     assert km.p05 < km.mean < km.p95
     assert risk_of(km.mean) == pytest.approx(0.5, abs=0.1)
     assert risk_of(km.p05) == pytest.approx(0.05, abs=0.1)  # the spread is that at the mean
-    assert risk_of(km.p95) == pytest.approx(0.95, abs=0.25)
+    assert risk_of(km.p95) == pytest.approx(0.95, abs=0.2)
 
 
 @pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
@@ -421,10 +421,7 @@ def test_wait_before_a_leg_is_never_longer_than_usual(monkeypatch, passed, usual
 
 
 def test_energy_of_waiting_is_less_certain_than_that_of_driving(monkeypatch):
-    """Of two answers with equal energies, the one that spends them on waits has the wider interval.
-
-    The medians differ by what earlier errors were off, times the standard deviations.
-    """
+    """Of two answers with equal energies, the one that spends them on waits has the wider interval."""
     pipeline, answers = one_at(RIDE + 100.0), []
     lane, usual = CARS.index(CAR), pipeline.engine.statistics.compute_usual
     now, tables = float(pipeline.engine.state["time"][lane]), pipeline.engine.statistics.get_tables(lane)
@@ -437,7 +434,7 @@ def test_energy_of_waiting_is_less_certain_than_that_of_driving(monkeypatch):
         )
         answers.append([leg.soc_pct for leg in pipeline.ask(CAR, None, plan).legs])
     surer, less = answers
-    assert [each.mean for each in surer] == pytest.approx([each.mean for each in less], abs=0.5)
+    assert [each.mean for each in surer] == pytest.approx([each.mean for each in less])
     more = [(b.mean - b.p05) - (a.mean - a.p05) for a, b in zip(surer, less, strict=True)]
     assert min(more[:-1]) > 0.1  # the last leg ends with the shift, whose total waiting time is known
 
