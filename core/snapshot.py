@@ -20,7 +20,7 @@ from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
 from socast.core.errors import SocastError
 from socast.core.files import UNREADABLE
-from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES
+from socast.core.forecast.conformal import BASES, DISTANCE_CLASSES, LEVELS, SCORES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST
@@ -144,15 +144,7 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
 
 _REGRESSION: Final = Row(SUMS, SUMS, Many(Row(LANE, _pack(len(TERMS) + 2))), _pack(len(TERMS)), Number(-100.0, 100.0))
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES)
-_CONFORMAL: Final = Row(
-    SUMS,
-    Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
-    Row(
-        _pack(_CLASSES * len(SCORES), low=0.0),
-        _pack(2 * _CLASSES),
-        _pack(_CLASSES * len(LEVELS)),
-    ),
-)
+_CONFORMAL: Final = Row(SUMS, _pack(_CLASSES * len(SCORES), low=0.0), _pack(_CLASSES * len(LEVELS)))
 _STATISTICS: Final = Row(
     Row(
         ByName(_REGRESSION),
@@ -242,7 +234,11 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed(
             FILTER_STATE,
             by_lane="predicted",
-            limits={"": Number(-1e15, 1e15), "curve": Number(-LARGEST_CURVE, LARGEST_CURVE)},
+            limits={
+                "": Number(-1e15, 1e15),
+                "curve": Number(-LARGEST_CURVE, LARGEST_CURVE),
+                "car_capacity_variance": Number(0.0, 1e15, unknown=False),
+            },
             vacant={"active": Number(0.0, 0.0), "shift": Number(-MOST, -1.0)},
         ),
     ),

@@ -241,13 +241,15 @@ class ForecastEngine:
 
     def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
         """Learn from a shift of a car of a kind that has ended."""
-        lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
+        lane = int(shift["lane"])
         self.closed.append(shift.copy())
         self.statistics.add_errors(self.log.evaluate_shift(lane, Outcome.read(shift)))
         capacity = float(self._cars.capacity[kind])
         begin_soc, last_soc, curve = (float(shift[name]) for name in ("begin_soc", "last_soc", "curve"))
         used = compute_charge_between(begin_soc, last_soc, curve) * capacity
-        if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
+        if np.isfinite(shift["faulty"]):  # by voltage and current alone
+            used = float(shift["metered_used"])
+        if shift["hours"] >= SHORT_SHIFT and np.isnan(shift["charged"]) and np.isfinite(used):
             energy = ShiftEnergy(
                 lane=lane,
                 driver=int(shift["driver"]) if shift["driver"] >= 0.0 else None,
@@ -290,7 +292,7 @@ class ForecastEngine:
         earlier.apply_daily_update()
         self.statistics.load(earlier.statistics.dump())
         self.state = create_filter_state(len(earlier.state))
-        for name in ("log_capacity", "p_cc"):
+        for name in ("log_capacity", "begin_log_capacity", "cold_loss", "car_capacity_variance", "p_cc"):
             self.state[name] = earlier.state[name]
         self.log.grow(len(self.state))
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.columns import ZERO_CELSIUS
-from socast.core.forecast.conformal import BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.conformal import BY_PLAN, LEVELS, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.learning.fleet import FleetStatistics
 from socast.core.forecast.learning.forecast_errors import ForecastRecord
 from socast.core.forecast.outlook import (
@@ -144,7 +144,8 @@ def compute_forecast_rows(
     soc = forecast_soc_ahead(now, ahead, progress, times)
     reach = compute_range(now.estimate, ahead.reserve, now.usual)
     by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / now.usual.energy_per_km
-    bounds = statistics.conformal.get_quantiles(by_plan, of_reach)[1]
+    quantiles, bounds = statistics.conformal.get_quantiles(by_plan, of_reach)
+    bounds = bounds._replace(middle=quantiles[:, LEVELS.index(0.5)])  # a ride of this length reaches it with even odds
     for name, bound in zip(list_interval_columns("range_km"), bounds, strict=True):
         rows[name] = np.maximum(reach.km.mean + reach.km.sd * bound, 0.0)
     for name, column in (*zip(_OF_END, soc.end, strict=True), *zip(_OF_CHARGE, soc.charge, strict=True)):

@@ -31,8 +31,21 @@ from numba import njit
 
 from socast.core.compiled_cache import watch_sources
 from socast.core.forecast import filter_state, kalman_update, soc_reading
-from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
-from socast.core.forecast.kalman_update import LARGEST_LOG_CONSUMPTION, apply_named_driver, clip, update_state
+from socast.core.forecast.filter_state import (
+    CAPACITY_SD,
+    CLOSED,
+    DEFAULT_QUANTUM,
+    DRIVER_NAMED,
+    RUNNING,
+    SHIFT_CAPACITY_SD,
+)
+from socast.core.forecast.kalman_update import (
+    LARGEST_LOG_CAPACITY,
+    LARGEST_LOG_CONSUMPTION,
+    apply_named_driver,
+    clip,
+    update_state,
+)
 from socast.core.forecast.learning import consumption_terms
 from socast.core.forecast.learning.consumption_terms import WARM_UP_DECAY
 from socast.core.forecast.soc_reading import (
@@ -75,7 +88,7 @@ UNSEEN_TIME: Final = 120.0
 UNMODELLED_POWER: Final = 5.0
 """Standard deviation of the power of a car without a prediction and without a meter. [kW]"""
 CAPACITY_AGEING: Final = 0.005
-"""Standard deviation of the change of `c` from shift to shift, by age and more by the battery's temperature. [1]"""
+"""Standard deviation of the lasting change of `c` from shift to shift, by age and season. [1]"""
 BEYOND_MARGIN: Final = 0.1
 """Furthest that the estimate of the charge may lie below empty or above full. [1]
 
@@ -83,6 +96,8 @@ A reading corrects an estimate that is a little beyond. A prediction that contin
 lead to -82 %."""
 LARGEST_VARIANCE: Final = 0.25
 """Largest variance of a quantity from 0 to 1; an estimate with a larger one knows nothing."""
+LEAST_METERED: Final = 0.9
+"""Share of the predicted energy of a shift from which its measured energy tells what the shift has used. [1]"""
 SHORTEST_CHARGE: Final = 60.0
 """A shorter charging is ignored. [s]"""
 DEPARTURE_DISTANCE: Final = 300.0
@@ -126,16 +141,30 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.warmth = 0.0
     state.predicted = state.awake_predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
+    state.metered_predicted = state.metered_used = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     state.connected = state.arrived = state.arrival_soc = nan
     state.unplugged = state.unplugged_distance = state.charged_soc = nan
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
-    state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
+    keep_capacity(state)
     state.begin_log_capacity, state.curve = state.log_capacity, event.curve
     state.level, state.level_sd, state.car_kind = event.level, nan, event.car_kind
     state.usual, state.usual_variance = prior.mean, prior.variance
     state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
     state.p_sa, state.p_ac = state.p_sc, state.p_cc
+
+
+@njit(cache=False)
+def keep_capacity(state: Any) -> None:
+    """Keep the car's share of what the shift before has revealed of `c`; the rest and its cold were of that shift."""
+    share = state.car_capacity_variance / (state.car_capacity_variance + SHIFT_CAPACITY_SD**2)
+    revealed = state.car_capacity_variance + SHIFT_CAPACITY_SD**2 - state.p_cc
+    of_shift = state.log_capacity - state.begin_log_capacity
+    state.log_capacity = state.begin_log_capacity + state.cold_loss + share * of_shift
+    state.cold_loss = 0.0
+    lasting = state.car_capacity_variance - share**2 * revealed + CAPACITY_AGEING**2
+    state.car_capacity_variance = min(lasting, CAPACITY_SD**2)
+    state.p_cc = state.car_capacity_variance + SHIFT_CAPACITY_SD**2
 
 
 @njit(cache=False)
@@ -146,6 +175,7 @@ def follow_level(state: Any, event: Any) -> None:
             change = event.level - state.level
             state.log_consumption = clip(state.log_consumption - change, LARGEST_LOG_CONSUMPTION)
             state.predicted *= exp(change)
+            state.metered_predicted *= exp(change)
             state.awake_predicted *= exp(change)
             state.compared_predicted *= exp(change)
             if event.duration > 0.0:  # of the ride so far, as the new tables predict it
@@ -163,6 +193,9 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.curve = state.curve
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
     row.awake_predicted, row.level = state.awake_predicted, state.level
+    is_metered = state.metered_predicted > max(LEAST_METERED * state.predicted, 0.0)
+    scale = state.predicted / state.metered_predicted if is_metered else nan
+    row.metered_used = scale * state.metered_used * exp(-state.log_capacity)
     row.charged, row.faulty = state.charged, find_lasting_fault(state)
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
@@ -175,12 +208,15 @@ def update_with_totals(state: Any, event: Any) -> None:
     meter_time, duration = event.meter_time - state.seen_meter_time, event.duration - state.seen_time
     predicted, metered = event.predicted - state.seen_predicted, event.metered - state.seen_metered
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
+    used = metered * duration / meter_time if meter_time > max(0.5 * duration, 0.0) else nan
     remember_totals(state, event)
     if duration > 0.0:
         if isnan(state.level_sd) and not isnan(event.level_sd):
             state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
-            state.usual += event.cold_loss
-            state.log_consumption += event.cold_loss
+            state.cold_loss = clip(event.cold_loss, LARGEST_LOG_CAPACITY)
+            state.usual += state.cold_loss
+            state.log_capacity -= state.cold_loss
+            state.begin_log_capacity -= state.cold_loss
             state.usual_variance += event.level_sd**2
             state.p_aa += event.level_sd**2
         awake = event.time - state.begin
@@ -194,7 +230,7 @@ def update_with_totals(state: Any, event: Any) -> None:
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0
-            state.predicted += 0.0 if isnan(predicted) else predicted
+            add_energies(state, predicted, used)
         state.distance += distance
         state.ride_distance += event.riding * distance
     silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE
@@ -205,7 +241,6 @@ def update_with_totals(state: Any, event: Any) -> None:
         discard_soc(state)
         state.compared_predicted = state.compared_used = 0.0
     elif not isnan(state.soc):
-        used = metered * duration / meter_time if meter_time > 0.5 * duration else nan
         warming = event.time - state.begin < WARM_UP_TIME or event.since_charge < WARM_UP_TIME
         noise = ENERGY_SD**2 * (WARM_UP_VARIANCE_FACTOR if warming else 1.0)
         capacity = event.capacity * (1.0 + state.curve * (2.0 * state.soc - 1.0))
@@ -217,6 +252,15 @@ def update_with_totals(state: Any, event: Any) -> None:
         discard_soc(state)
     if state.charging == 0.0 and isnan(state.suspect) and not isnan(state.reported):
         record_shift_soc(state)
+
+
+@njit(cache=False)
+def add_energies(state: Any, predicted: float, used: float) -> None:
+    """Add the energies of a stretch to those of the shift, NaN where unknown. [kWh]"""
+    state.predicted += 0.0 if isnan(predicted) else predicted
+    if not isnan(predicted + used):
+        state.metered_predicted += predicted
+        state.metered_used += used
 
 
 @njit(cache=False)

@@ -42,8 +42,8 @@ LEAST_JUMP: Final = 0.05
 """Smallest change that is a jump: displays of old batteries fall by steps of up to 3 %, one after the other. [1]"""
 JUMP_CONFIRMATION: Final = 900.0
 """Time for which a reading that jumped must stay before it is accepted. [s]"""
-JUMP_SD: Final = 0.5
-"""Standard deviation that a jump of the reading gives to the charge, over the jump. [1]"""
+JUMP_SD: Final = 0.5**0.5
+"""Standard deviation that a jump of the reading gives to the charge, over the jump: either value may be right. [1]"""
 
 
 @njit(cache=False)

@@ -71,6 +71,8 @@ MEMORY: Final = 100.0
 """Number of rides after which the weight of a ride has decreased to 1/e: capacity changes with season and age."""
 OUTLIER_SDS: Final = 2.0
 """Residual from which the weight of a ride decreases. [standard deviations]"""
+STILL_SDS: Final = 3.0
+"""A charge that did not move although it should have by more than this says nothing. [standard deviations]"""
 LARGEST_SCORE: Final = 4.0
 """Residual beyond which a ride says nothing more of the noise of the display. [standard deviations]"""
 CONTRADICTION_SDS: Final = 8.0
@@ -288,7 +290,7 @@ class DisplayYields:
         energy, _ = measure_by_power(rides, self._cars)
         first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
         known = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_inverted(rides)
-        used = known & ~find_soc_faults(rides, self._cars)
+        used = known & ~find_soc_faults(rides, self._cars) & ~_is_still(rides, energy)
         contradicted = known & is_only_stale(rides)
         contradicted &= find_contradictions(rides, self._lanes["rides"][rides.lane], self._cars)
         if used.any():
@@ -316,6 +318,16 @@ class DisplayYields:
         new[contradicted] = _contradict(known[contradicted], new[contradicted])
         self._lanes[rides.lane] = new
         return contradicted
+
+
+def _is_still(rides: Totals, energy: Floats) -> NDArray[np.bool_]:
+    """Return where the charge stayed the same, but by the energy [kWh] and the display so far it should have fallen.
+
+    Such a display may be frozen, also where no ride is long enough to tell: it teaches nothing until it moves.
+    """
+    least = find_quantum(rides) + STILL_SDS * np.sqrt(rides.display["reading_variance"])
+    still = rides.at_first("soc") == rides.at_last("soc")
+    return np.asarray(still & (np.abs(energy) * rides.display["inverse"] > least))
 
 
 def find_contradictions(rides: Totals, learned: Floats, cars: Cars) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from socast.core.evaluate.binning import bin_values
 from socast.core.evaluate.soc.baselines import PERSONS, REGRESSION
 from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
-from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
+from socast.core.evaluate.soc.reserve_risk import ALARM, PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
 from socast.tools.bench.soc_reference import REFERENCE
 from socast.tools.simulator.settings import COLD_SNAP, FLEETS
@@ -170,9 +170,16 @@ def _check_bands(fleet: str, rows: pd.DataFrame, where: str, goals: bool) -> Ite
 
 
 def _check_risk(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
-    """Yield how often told risks happened, and the Brier score beside that of the regression."""
+    """Yield how good alarms are, how often told risks happened, and the Brier score beside that of the regression."""
     rows = tabulate_levels(cases)
-    rows = rows[rows["level"] != PLANNED]
+    planned, rows = rows[rows["level"] == PLANNED], rows[rows["level"] != PLANNED]
+    for what, mine, bounds in (
+        ("caught", planned[planned["fell"]], (0.98, 1.0)),
+        ("false", planned[~planned["fell"]], (0.0, 0.02)),
+    ):
+        if len(mine):
+            words = f"alarm at a risk of {100 * ALARM:.0f} % for the reserve of the plan: {what}"
+            yield _share(fleet, words, bounds, mine["risk"].to_numpy() >= ALARM, mine)
     for (low, high), goal in {(0.05, 0.2): (0.03, 0.25), (0.5, 0.8): (0.45, 0.85)}.items():
         for column, name in {"risk": "", REGRESSION: " by the regression"}.items():
             told = rows[(rows[column] >= low) & (rows[column] < high)]

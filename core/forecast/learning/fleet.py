@@ -144,12 +144,11 @@ class FleetStatistics:
         """Add the errors of evaluated forecasts."""
         for each in errors:
             self.plan_outcomes.add_shift(each.driving, each.waiting, each.done)
-            if not len(each.scores):
-                continue
-            self.conformal.add_shift(each.basis, each.ahead_km, each.scores)
             if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
                 self.daily_cycle.add_shift(each.time, each.ambient_c)
-            self.interval_outcomes[each.basis] += each.outcomes
+            if len(each.scores):
+                self.conformal.add_shift(each.basis, each.ahead_km, each.scores)
+                self.interval_outcomes[each.basis] += each.outcomes
 
     def add_shift(self, energy: ShiftEnergy) -> None:
         """Add a shift that has ended, for the daily update: consumption factors are read when a driver is named."""

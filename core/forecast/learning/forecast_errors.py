@@ -92,22 +92,23 @@ class Outcome(NamedTuple):
 
 
 class ShiftErrors(NamedTuple):
-    """Hold the errors of the n forecasts of one shift with the same basis, (n,) float each.
+    """Hold what became of the m forecasts of one shift with the same basis, n of which have an outcome.
 
     Parameters
     ----------
-    time : When the forecasts were made. [s]
-    scores : Standardised errors. [1]
+    ahead_km, scores : Distance ahead, and standardised errors, of those with an outcome, (n,) float. [km], [1]
     outcomes : Numbers of forecasts with the outcome below, inside and above the published interval, (3,) int.
-    driving, waiting, done : Planned energy of driving and of waiting, and that of what was done, by the tables. [kWh]
+    time, ambient_c : When the forecasts were made, and the outside temperature, (m,) float. [s], [°C]
+    driving, waiting, done : Planned energy of driving and of waiting, and that of what was done, by the tables, (m,)
+        float. [kWh]
     """
 
     basis: int
-    time: Floats
     ahead_km: Floats
-    ambient_c: Floats
     scores: Floats
     outcomes: Ints
+    time: Floats
+    ambient_c: Floats
     driving: Floats
     waiting: Floats
     done: Floats
@@ -216,9 +217,8 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
         scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
-        time, ahead_km, ambient_c = (judged[name] for name in ("time", "ahead_km", "ambient_c"))
-        planned = of_basis["driving"], of_basis["waiting"]
-        out.append(ShiftErrors(int(basis), time, ahead_km, ambient_c, scores, counts, *planned, done))
+        time, ambient_c, driving, waiting = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting"))
+        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, time, ambient_c, driving, waiting, done))
     return out
 
 

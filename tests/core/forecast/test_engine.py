@@ -305,12 +305,12 @@ def test_other_cars_on_the_same_day_change_no_forecast():
 def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
     pipeline = trained_pipeline()
     conformal, before = pipeline.engine.statistics.conformal, count_evaluated_shifts(pipeline)
-    bounds = conformal.bounds.copy()
+    bounds = conformal.table.copy()
     pipeline.push(days([DAYS]))
     assert count_evaluated_shifts(pipeline) >= before + len(CARS)
-    assert conformal.bounds.tobytes() == bounds.tobytes()
+    assert conformal.table.tobytes() == bounds.tobytes()
     pipeline.push(idle_morning(DAYS + 1))
-    assert conformal.bounds.tobytes() != bounds.tobytes()
+    assert conformal.table.tobytes() != bounds.tobytes()
 
 
 def count_evaluated_shifts(pipeline):

@@ -287,7 +287,8 @@ def test_covariance_stays_positive_and_soc_finite_for_any_events(drawn, quantum)
     spread = get_covariance(result.state[0])
     if known[-1]:
         assert np.linalg.eigvalsh(spread / np.abs(spread).max()).min() > -1e-9
-    assert spread[2, 2] <= filter_state.CAPACITY_SD**2 * (1.0 + 1e-12)
+    prior = filter_state.CAPACITY_SD**2 + filter_state.SHIFT_CAPACITY_SD**2
+    assert spread[2, 2] <= prior * (1.0 + 1e-12)
 
 
 # between rides and shifts
@@ -337,15 +338,18 @@ def test_filter_restarts_at_reported_soc_after_night_and_charging(quantum, after
     assert np.isfinite(result.state["charged"]).all() == (after == "charge")
 
 
-def test_new_shift_begins_with_the_prior_and_keeps_the_capacity():
+def test_new_shift_begins_with_the_prior_and_keeps_the_share_of_the_car_in_the_capacity():
     first, _ = shift(5, 3.0, 0.001, 0.2, np.log(0.9), metered=True, seed=4)
     second, _ = shift(5, 0.01, 0.001, metered=True, seed=5, begin=BEGIN + NIGHT)
     before = run_filter(first).state
     after = run_filter(second[:, :1], before, prior=(0.15, 0.004)).state
     assert after["log_consumption"] - after["log_capacity"] == pytest.approx(np.full(5, 0.15))
     assert after["p_aa"] + after["p_cc"] - 2.0 * after["p_ac"] == pytest.approx(np.full(5, 0.004))
-    assert np.array_equal(after["log_capacity"], before["log_capacity"])
-    assert after["p_cc"] == pytest.approx(before["p_cc"] + soc_filter.CAPACITY_AGEING**2)
+    of_car, of_shift = before["car_capacity_variance"], filter_state.SHIFT_CAPACITY_SD**2
+    share = of_car / (of_car + of_shift)
+    revealed = of_car + of_shift - before["p_cc"]
+    assert after["log_capacity"] == pytest.approx(share * before["log_capacity"])
+    assert after["p_cc"] == pytest.approx(of_car - share**2 * revealed + soc_filter.CAPACITY_AGEING**2 + of_shift)
     assert (after["shift"] == 1.0).all()
 
 
@@ -361,6 +365,15 @@ def test_closed_shift_agrees_with_its_events():
     assert row["predicted"] == pytest.approx(first["predicted"][0, -1], rel=0.02)
     assert row["warmth"] / row["hours"] == pytest.approx(283.15)
     assert np.isnan(row["charged"])
+
+
+@pytest.mark.parametrize("metered", [True, False])
+def test_closed_shift_tells_what_it_used_by_its_meter_alone(metered):
+    events, _ = shift(5, 3.0, 0.001, np.log(1.2), 0.0, metered=metered, seed=6)
+    events["soc"][:, events.shape[1] // 4 :] = np.nan
+    result = run_filter(np.column_stack([events, shift(5, 0.01, 0.001, seed=7, begin=BEGIN + NIGHT)[0]]))
+    used = result.shifts["metered_used"] / result.shifts["predicted"]
+    assert used == pytest.approx(1.2, rel=0.1) if metered else np.isnan(used).all()
 
 
 def test_car_of_unknown_model_or_capacity_follows_its_reported_soc():

@@ -126,6 +126,18 @@ def test_full_display_and_missing_values_teach_nothing():
     assert find_usable_capacity(learn(displays, ride(rng)))[0][0] == pytest.approx(CATALOGUE)
 
 
+def test_charge_that_stands_still_teaches_nothing_and_contradicts_no_meter():
+    rng, displays = np.random.default_rng(11), DisplayYields(fleet(1))
+    for _ in range(20):
+        learn(displays, ride(rng))
+    before = displays.dump()
+    for _ in range(2 * RELEARN_AFTER):
+        still = ride(rng)
+        still.at_last("soc")[0] = still.at_first("soc")[0]
+        assert learn(displays, still).display["contradicted"][0] == 0.0
+    assert displays.dump() == before
+
+
 def test_cars_of_a_model_share_what_was_learned_from_the_next_day_on():
     rng, lanes = np.random.default_rng(10), 9
     displays = DisplayYields(fleet(lanes))

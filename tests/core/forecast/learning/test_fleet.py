@@ -33,7 +33,7 @@ def count_learned(statistics):
 
 def effective(statistics):
     """Return everything that forecasts read."""
-    conformal = statistics.conformal.table.tolist(), statistics.conformal.bounds.tolist()
+    conformal = statistics.conformal.table.tolist()
     plans = statistics.plan_outcomes.factor.tolist(), statistics.plan_outcomes.spread
     read = statistics.prior.tolist(), statistics._patterns.tolist(), plans, statistics.factors._cold_loss
     cycle = statistics.daily_cycle._since_midnight.tolist()
