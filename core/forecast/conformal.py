@@ -44,7 +44,7 @@ PRIOR_SCALES: Final = 1.25, 1.75, 1.25, 1.25
 """Scale of the prior distribution of the standardised error of each basis, Student's t. [1]"""
 PRIOR_FREEDOM: Final = 8.0
 """Its degrees of freedom."""
-PRIOR_SHIFTS: Final = 40.0
+PRIOR_SHIFTS: Final = 15.0
 """Number of shifts whose weight the prior has."""
 BORROWED_SHIFTS: Final = 50.0
 """Number of shifts whose weight all classes of a basis have together for each of them, prior included."""
