@@ -127,6 +127,29 @@ def replace_nan(values: Floats, number: float = 0.0) -> Floats:
     return np.where(np.isnan(values), number, values)
 
 
+def sum_weighted(values: Floats, weights: Floats) -> Floats:
+    """Return the weighted sum of each row over the second axis.
+
+    It adds one place after the other, so that a row has the same sum, to the bit, however many rows there are;
+    `np.einsum` and products of matrices choose their order by the number of rows.
+
+    Parameters
+    ----------
+    values : (n, k, ...) float
+    weights : (n, k) float
+
+    Examples
+    --------
+    >>> sum_weighted(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 10.0], [0.0, 1.0]])).tolist()
+    [21.0, 4.0]
+    """
+    shape = weights.shape[:1] + (1,) * (values.ndim - 2)
+    out = np.zeros(values.shape[:1] + values.shape[2:])
+    for place in range(weights.shape[1]):
+        out += weights[:, place].reshape(shape) * values[:, place]
+    return out
+
+
 class RowsOfLanes:
     """Find the rows of each lane, in their order, without a comparison of all rows."""
 

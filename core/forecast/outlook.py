@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, replace_nan
+from socast.core.batch import Floats, Ints, replace_nan, sum_weighted
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
 from socast.core.forecast.learning.consumption_terms import TEMPERATURES, compute_knot_weights
@@ -157,7 +157,7 @@ class UsualConsumption(NamedTuple):
 
     def weigh(self, energy: Floats) -> Floats:
         """Return the energies of cars at the knots of temperature, interpolated to their temperatures. [kWh]"""
-        return np.asarray(np.einsum("ij,ij->i", energy, self.weights))
+        return sum_weighted(energy, self.weights)
 
     def expect_plan(self, parts: Floats) -> MeanAndSd:
         """Return the energy of what is done of a plan, where `parts` are driving and waiting as planned, (n, 2). [kWh]
@@ -166,7 +166,7 @@ class UsualConsumption(NamedTuple):
         """
         energy = (parts * self.plan_factor).sum(axis=1)
         covariance = np.broadcast_to(self.covariance + self.plan_covariance, (len(parts), 2, 2))
-        variance = np.einsum("np,npq,nq->n", parts, covariance, parts)
+        variance = sum_weighted(sum_weighted(covariance, parts), parts)
         variance += self.plan_spread * np.maximum(energy, 0.0)
         return MeanAndSd(energy, np.sqrt(np.maximum(variance, 0.0)))
 

@@ -1,8 +1,9 @@
 """Test batches and lanes."""
 
 import numpy as np
+import pytest
 
-from socast.core.batch import Lanes, grown
+from socast.core.batch import Lanes, grown, sum_weighted
 from tests.support.telemetry import decoded, drive, telemetry
 
 
@@ -29,3 +30,12 @@ def test_grown_array_keeps_its_values_and_fills_the_new_rows():
     assert np.array_equal(larger[:3], array)
     assert np.all(larger[3:] == -1.0)
     assert len(grown(array, 100)) == 128
+
+
+def test_weighted_sum_of_a_row_does_not_depend_on_the_number_of_rows():
+    rng = np.random.default_rng(3)
+    values, weights = rng.normal(size=(269, 2, 2)), rng.normal(size=(269, 2))
+    together = sum_weighted(sum_weighted(values, weights), weights)
+    alone = [sum_weighted(sum_weighted(values[i : i + 1], weights[i : i + 1]), weights[i : i + 1]) for i in range(269)]
+    assert together.tobytes() == np.concatenate(alone).tobytes()
+    assert together == pytest.approx(np.einsum("np,npq,nq->n", weights, values, weights))

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, Stateful, grown, replace_nan, take_lanes
+from socast.core.batch import Floats, Ints, Stateful, grown, replace_nan, sum_weighted, take_lanes
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
@@ -173,7 +173,7 @@ class FleetStatistics:
         kinds = self._cars.of_lane[[energy.lane for energy in self._shifts]]
         ambient = np.array([energy.ambient_c for energy in self._shifts]) + ZERO_CELSIUS
         weights = compute_temperature_weights(ambient)
-        power = np.einsum("ij,ij->i", self._stacked["mean_power"][kinds], weights).tolist()
+        power = sum_weighted(self._stacked["mean_power"][kinds], weights).tolist()
         weight = weigh_day(len(self._shifts))
         for energy, usual_kw in zip(self._shifts, power, strict=True):
             # what the tables have learned of the level since is not learned of the car as well
@@ -213,7 +213,7 @@ class FleetStatistics:
         return UsualConsumption(
             weights,
             **usual,
-            covariance=np.asarray(np.einsum("nk,nkpq->npq", weights, self._stacked["parts_covariance"][kinds])),
+            covariance=sum_weighted(self._stacked["parts_covariance"][kinds], weights),
             plan_factor=np.broadcast_to(plans.factor, (n, 2)),
             plan_covariance=np.broadcast_to(plans.covariance, (n, 2, 2)),
             plan_spread=np.full(n, plans.spread),
@@ -221,7 +221,7 @@ class FleetStatistics:
 
     def _interpolate(self, name: str, kinds: Ints, weights: Floats) -> Floats:
         """Return what the tables of kinds of car hold, at the temperature of each row."""
-        return np.asarray(np.einsum("ij,ij->i", self._stacked[name][kinds], weights))
+        return sum_weighted(self._stacked[name][kinds], weights)
 
     def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
         """Return the usual duration and intensity of the shifts of cars, (n,) SHIFT_PATTERN."""
