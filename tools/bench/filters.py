@@ -10,7 +10,6 @@ from unittest.mock import patch
 import numpy as np
 
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.forecast import engine, soc_filter
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.learning.car_driver import KEPT_SHIFTS
 from socast.core.forecast.learning.fleet import ShiftEnergy
@@ -68,10 +67,8 @@ def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
     pipeline.push([*make_vehicles(cars), *make_plans(cars)])
     push_rounds(pipeline, cars, 0, WARM_UP)
     of_filters, of_all = Stopwatch(), Stopwatch()
-    with (
-        patch.object(engine, "filter_events", of_filters.wrap(soc_filter.filter_events)),
-        patch.object(ForecastEngine, "process", of_all.wrap(ForecastEngine.process)),
-    ):
+    pipeline.engine.filter_events = of_filters.wrap(pipeline.engine.filter_events)
+    with patch.object(ForecastEngine, "process", of_all.wrap(ForecastEngine.process)):
         forecasts = push_rounds(pipeline, cars, WARM_UP, turns)
     passed = turns * PERIOD_S
     share = of_filters.seconds / passed
