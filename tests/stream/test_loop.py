@@ -5,7 +5,6 @@ import io
 import json
 import logging
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -28,6 +27,7 @@ from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_source import ZenohSource
 from socast.tools.terminal.stop_signals import stop_on_signals
 from tests.support.recorded_shift import shift
+from tests.support.signal_handlers import ASKING, keep_handlers
 
 pytestmark = pytest.mark.long
 Results = tuple[list[Message], list[Message], str]
@@ -246,16 +246,11 @@ def test_log_line_holds_keys_and_values():
     assert int(pairs["messages"]) == len(shift(50))
 
 
-ASKING = signal.SIGINT, signal.SIGTERM
-
-
 @pytest.fixture(autouse=True)
 def handlers():
-    """Return to the handlers of before: signals that ended a command are ignored for the rest of its process."""
-    before = [signal.getsignal(number) for number in ASKING]
-    yield
-    for number, handler in zip(ASKING, before, strict=True):
-        signal.signal(number, handler)
+    """Return to the handlers of signals of before."""
+    with keep_handlers():
+        yield
 
 
 @pytest.mark.parametrize("number", ASKING)

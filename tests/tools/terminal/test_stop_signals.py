@@ -7,17 +7,14 @@ from threading import Thread
 import pytest
 
 from socast.tools.terminal.stop_signals import stop_on_signals
-
-ASKING = signal.SIGINT, signal.SIGTERM
+from tests.support.signal_handlers import ASKING, keep_handlers
 
 
 @pytest.fixture(autouse=True)
 def handlers():
-    """Return to the handlers of before: signals that ended a command are ignored for the rest of its process."""
-    before = [signal.getsignal(number) for number in ASKING]
-    yield
-    for number, handler in zip(ASKING, before, strict=True):
-        signal.signal(number, handler)
+    """Return to the handlers of signals of before."""
+    with keep_handlers():
+        yield
 
 
 def test_handlers_return_where_nothing_was_asked():
