@@ -12,17 +12,18 @@ ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def set_handler(handler: Any, numbers: Iterable[int] = ENDING) -> dict[int, Any]:
-    """Set the handler of signals that are not ignored, as `nohup` leaves SIGHUP; return the handlers of before.
+    """Set the handler of signals, but not of a SIGHUP that is ignored, as under `nohup`; return the handlers of before.
 
     In any thread but the main one, which alone may have handlers, this does nothing.
     """
     if current_thread() is not main_thread():
         return {}
     before = {number: signal.getsignal(number) for number in numbers}
-    heeded = {number: earlier for number, earlier in before.items() if earlier is not signal.SIG_IGN}
-    for number in heeded:
+    if before.get(signal.SIGHUP) is signal.SIG_IGN:
+        del before[signal.SIGHUP]
+    for number in before:
         signal.signal(number, handler)
-    return heeded
+    return before
 
 
 def restore_handlers(before: dict[int, Any]) -> None:
