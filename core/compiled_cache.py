@@ -53,10 +53,12 @@ def place_cache() -> None:
     os.environ[_PLACE] = folder
     from numba.core import caching, config  # noqa: PLC0415
 
-    config.CACHE_DIR = folder
+    find_place: Any = caching.UserProvidedCacheLocator.get_suitable_cache_subpath
+
+    config.CACHE_DIR = folder  # type: ignore[attr-defined]
     for compiled in [each for name in _COMPILED for each in (_PACKAGE / name).rglob("__pycache__/*.nb?")]:
         source = compiled.parents[1] / "any.py"
-        place = Path(folder, caching.UserProvidedCacheLocator.get_suitable_cache_subpath(str(source)))
+        place = Path(folder, find_place(str(source)))
         place.mkdir(exist_ok=True)
         shutil.copyfile(compiled, place / compiled.name)
 
