@@ -18,7 +18,6 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -40,7 +39,7 @@ from mcap.records import (
 
 from socast.core.errors import RecordingError
 from socast.core.files import replacing
-from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.message_block import MessageBlock
 from socast.core.wire.messages import BATCH, KINDS, Message, address
 from socast.core.wire.schema import make_schema
 from socast.stream.closeable import Closeable
@@ -97,9 +96,6 @@ class McapSink(Closeable):
         self._compress = zstandard.ZstdCompressor().compress
         self._keys: dict[str, int] = {}
         self._viewer_keys: dict[str, int] = {}
-        self._channels_of = [
-            KeyValues(partial(self._find_channel, for_viewers=flag), np.int64) for flag in (False, True)
-        ]
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         self._descriptions: list[list[bytes]] = []
@@ -146,21 +142,23 @@ class McapSink(Closeable):
             Put them on channels of their own, which only viewers read and `McapSource` leaves out.
         """
         block = MessageBlock.of(messages)
-        if not len(block):
-            return
-        channels = self._channels_of[for_viewers].get(block)
-        ends = np.cumsum(block.columns.sizes + MESSAGE_HEAD.size)
-        begin = written = 0
-        while begin < len(block):
-            room = self._chunk_bytes - self._chunk.size
-            stop = min(len(block), int(np.searchsorted(ends, written + room)) + 1)
-            for channel in np.unique(channels[begin:stop]).tolist():
-                self._chunk.describe(*self._descriptions[channel - 1])
-            self._chunk.put(block[begin:stop], channels[begin:stop])
-            begin, written = stop, int(ends[stop - 1])
+        for key in block.list_keys():
+            self._find_channel(key, for_viewers=for_viewers)
+        while len(block):
+            count = self._count_fitting(block)
+            self._chunk.put(block[:count], for_viewers=for_viewers)
+            self.messages += count
+            block = block[count:]
             if self._chunk.size >= self._chunk_bytes:
                 self._end_chunk()
-        self.messages += len(block)
+
+    def _count_fitting(self, block: MessageBlock) -> int:
+        """Return how many of the messages, from the first on, fill the chunk."""
+        room = self._chunk_bytes - self._chunk.size
+        if block.size + MESSAGE_HEAD.size * len(block) < room:
+            return len(block)
+        ends = np.cumsum(block.columns.sizes + MESSAGE_HEAD.size)
+        return min(len(block), int(np.searchsorted(ends, room)) + 1)
 
     def flush(self) -> None:
         """Write the unfinished chunk, so that a reader finds every message that was put."""
@@ -237,18 +235,19 @@ class McapSink(Closeable):
 
     def _end_chunk(self) -> None:
         """Write the unfinished chunk and its message indexes."""
-        if not self._chunk:
+        chunk = self._chunk.pack([self._keys, self._viewer_keys], self._descriptions, self._compress)
+        if chunk is None:
             return
-        record, indexes, counts, (first, last), size, packed_size = self._chunk.pack(self._compress)
+        (first, last), offset = chunk.span, self._file.tell()
+        begin, *ends = np.cumsum([offset + len(chunk.record), *map(len, chunk.indexes)]).tolist()
+        self._write(chunk.record + b"".join(chunk.indexes), flush=True)
         self._span = (min(first, self._span[0]), max(last, self._span[1])) if self._span else (first, last)
-        offset = self._file.tell()
-        ends = np.cumsum([offset + len(record), *map(len, indexes)]).tolist()
-        places = dict(zip(counts, ends, strict=False))
-        self._write(record + b"".join(indexes), flush=True)
-        self._counts.update(counts)
-        self.kept += sum(counts.values())
-        index_size = ends[-1] - ends[0]
-        index = ChunkIndex(len(record), offset, "zstd", packed_size, last, index_size, places, first, size)
+        self._counts.update(chunk.counts)
+        self.kept += sum(chunk.counts.values())
+        places = dict(zip(chunk.counts, [begin, *ends[:-1]], strict=True))
+        index = ChunkIndex(
+            len(chunk.record), offset, "zstd", chunk.packed_size, last, ends[-1] - begin, places, first, chunk.size
+        )
         self._indexes.append(encode_record(index))  # as bytes it takes a tenth of the memory
         self._chunk = ChunkBuilder()
 

@@ -117,6 +117,7 @@ class Node(Closeable):
         self.prefix = parse_prefix(connection.prefix)
         config = _make_config(connection)
         self.endpoints: list[str] = _list_endpoints(config)
+        self.routers: list[str] = _list_endpoints(config, "connect")
         _check_limits()
         try:
             self.session = zenoh.open(config)
@@ -237,7 +238,7 @@ def _read_config(file: Path) -> zenoh.Config:
         opened = np.isin(characters, list(b"[{")).astype(np.int64) - np.isin(characters, list(b"]}"))
         if np.cumsum(opened).max(initial=0) > DEEPEST:
             raise SettingsError(f"--config {file} is nested in more than {DEEPEST} levels, which no configuration is")
-        return zenoh.Config.from_json5(content.decode())
+        return zenoh.Config.from_file(file) if file.is_file() else zenoh.Config.from_json5(content.decode())
     except FileNotFoundError as error:
         raise SettingsError(f"--config {file} does not exist; `socast secure init` makes one") from error
     except OSError as error:

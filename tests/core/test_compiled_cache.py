@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import pkgutil
 import subprocess
 import sys
@@ -14,9 +15,13 @@ from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 
 import socast.core
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import _may_write, watch_sources
 
-READ_ONLY = "import os; os.access = lambda *_: False\n"
+READ_ONLY = """
+import os, sys, tempfile
+os.access = lambda *_: False
+tempfile.tempdir = sys.argv.pop(1)
+"""
 RUN = """
 import json
 from socast.core.wire.message_block import Message, MessageBlock, copy_spans
@@ -24,11 +29,11 @@ MessageBlock.of([Message("k", b"{}", 0)]).compact()
 print(json.dumps([os.environ["NUMBA_CACHE_DIR"], list(copy_spans.stats.cache_hits.values())]))
 """
 NOWHERE = """
-import sys, tempfile
-def refuse(**_):
+import tempfile
+def refuse(*_, **__):
     raise OSError(30, "Read-only file system")
-tempfile.mkdtemp = refuse
-sys.argv = ["socast", "tables", "--help"]
+os.mkdir = tempfile.TemporaryFile = refuse
+sys.argv = ["socast", "tables", "x"]
 from socast.__main__ import main
 main()
 """
@@ -77,18 +82,60 @@ def _scale(values: np.ndarray) -> np.ndarray:
     return 2.0 * values
 
 
-def run_python(code):
-    return subprocess.run([sys.executable, "-c", READ_ONLY + code], capture_output=True, text=True, check=False)
+def run_python(code, temporary):
+    command = [sys.executable, "-c", READ_ONLY + code, str(temporary)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_compiled_code_is_copied_to_a_temporary_folder_where_no_other_can_be_written():
-    folder, hits = json.loads(run_python(RUN).stdout)
+def test_compiled_code_is_copied_to_one_folder_of_the_user_where_no_other_can_be_written(tmp_path):
+    for _ in range(2):
+        folder, hits = json.loads(run_python(RUN, tmp_path).stdout)
+        assert hits == [1]
+        assert [Path(folder)] == list(tmp_path.iterdir())
+        assert Path(folder).stat().st_mode & 0o077 == 0
+        assert not list(Path(folder).rglob("*.part"))
+
+
+@pytest.mark.parametrize("kind", ["open to others", "a link"])
+def test_folder_that_another_may_have_made_is_not_used(tmp_path, kind):
+    name = tmp_path / f"socast-compiled-{os.getuid()}"
+    if kind == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        name.symlink_to(tmp_path / "elsewhere")
+    else:
+        name.mkdir()
+        name.chmod(0o777)
+    folder, hits = json.loads(run_python(RUN, tmp_path).stdout)
     assert hits == [1]
-    assert not Path(folder).exists(), "it is removed at the end"
+    assert Path(folder) != name
+    assert not list(name.iterdir())
 
 
-def test_missing_temporary_folder_is_one_line():
-    done = run_python(NOWHERE)
-    assert done.returncode == 1
-    reason = "no folder for compiled code can be written: Read-only file system"
-    assert done.stderr == f"socast: {reason}; set NUMBA_CACHE_DIR or TMPDIR to one that can\n"
+def test_missing_temporary_folder_is_one_line(tmp_path):
+    done = run_python(NOWHERE, tmp_path)
+    reason = "no folder for compiled code can be written"
+    assert done.stderr == f"socast: {reason}: set NUMBA_CACHE_DIR or TMPDIR to one that can\n"
+    assert done.returncode == 2
+
+
+def test_places_that_cannot_be_searched_or_do_not_exist_are_not_written(tmp_path, monkeypatch):
+    assert _may_write(str(tmp_path / "a" / "b"))
+    (tmp_path / "file").touch()
+    assert not _may_write(str(tmp_path / "file" / "b"))
+    monkeypatch.chdir(tmp_path)
+    assert _may_write("here")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may become another user")
+def test_other_user_without_home_writes_nowhere(tmp_path):
+    (tmp_path / "closed").mkdir(mode=0o700)
+    code = f"""
+import os
+from socast.core.compiled_cache import _list_places, _may_write
+del os.environ["HOME"]
+os.setgid(12345)
+os.setuid(12345)
+print(len(list(_list_places())), _may_write({str(tmp_path / "closed" / "b")!r}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[1:] == ["False"], done.stderr
