@@ -44,7 +44,7 @@ MOST_NAMED: Final = 3
 """Largest number of parts that a sentence names."""
 WIDTHS: Final = (16, 60)
 """Smallest and largest number of characters of the bars in a terminal."""
-LABEL_WIDTH: Final = 30
+LABEL_WIDTH: Final = 38
 """Largest number of characters of the name of a part in a terminal."""
 STEP_HEIGHT: Final = 34
 """Height of a bar with its space. [px]"""
@@ -59,7 +59,8 @@ PRICE_FIELDS: Final = ("cost", "cost_per_100km")
 NOTE: Final = (
     "The parts add up to the measured energy. ±: half of the 95 % interval by the standard errors of the coefficients, "
     "where the model holds them. km: the energy of the part over the present mean consumption. Negative: given back, "
-    "to the motion or to the battery; of what is unexplained, that the model predicts too much."
+    "to the motion or to the battery; of what is unexplained, that the model predicts too much. waiting: what acts "
+    "over time, such as heating, while the car stands within rides."
 )
 
 
@@ -195,7 +196,7 @@ def _tabulate_groups(result: EnergySplit) -> ReportTable:
         [
             ("rides", lambda group: f"{group.rides:,}"),
             ("km", lambda group: format_amount(group.distance_km, 0)),
-            (MEASURED, lambda group: format_amount(group.measured.per_100km_kwh.value, 2)),
+            ("total", lambda group: format_amount(group.measured.per_100km_kwh.value, 2)),
             *((what, partial(show_part, what)) for what in parts),
         ],
         totals=("all",),
