@@ -315,8 +315,11 @@ def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
 
 def _find_standing(model: LinearModel, rides: pd.DataFrame) -> Floats:
     """Return the share of each term of each ride while the car stands, (n, terms); 0 where the tables tell none."""
-    known = [get_numbers(rides, name) if name in rides else np.zeros(len(rides)) for name in (STANDING, "duration_s")]
-    share = np.divide(*map(np.nan_to_num, known), out=np.zeros(len(rides)), where=known[1] > 0.0)
+    stood, time = (
+        np.nan_to_num(get_numbers(rides, name)) if name in rides else np.zeros(len(rides))
+        for name in (STANDING, "duration_s")
+    )
+    share = np.divide(stood, time, out=np.zeros(len(rides)), where=time > 0.0)
     return np.outer(np.clip(share, 0.0, 1.0), [_acts_over_time(term) for term in model.terms])
 
 
@@ -360,8 +363,8 @@ def _sum_group(
     rides = chosen.rides[rows]
     measured, distance = float(chosen.measured[rows].sum()), float(rides["distance_km"].sum())
     scale = _Scale(measured, distance, price)
-    halves, timed = uncertainty.compute_half_widths(rows), uncertainty.standing.any(axis=0)
-    driving = {term.name for term, stands in zip(uncertainty.model.terms, timed, strict=True) if stands}
+    halves, terms = uncertainty.compute_half_widths(rows), uncertainty.model.terms
+    driving = {term.name for term, share in zip(terms, uncertainty.standing.T, strict=True) if share.any()}
     sums = {part: float(energy[rows].sum()) for part, energy in parts.items()}
     shares = [
         EnergyShare(

@@ -9,8 +9,8 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.tools.bench.real_condition import compare_changed, find_step
 from tests.support.planted_rides import noisy, physical_energy, rides
 
-DAYS = 40
-AT = parse_ride_date("2018-01-21").toordinal()
+DAYS = 80
+AT = parse_ride_date("2018-02-10").toordinal()
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def table():
     made = rides(3 * DAYS, 3, ("nissan-leaf-2013",), cars=1)
     dates = np.datetime64("2018-01-01") + np.repeat(np.arange(DAYS), 3)
     made = made.assign(date=dates.astype(str))
-    return noisy(made, physical_energy(made.assign(effect_aero_drag_wind=made["effect_aero_drag"])), 0.02)
+    return noisy(made, physical_energy(made.assign(effect_aero_drag_wind=made["effect_aero_drag"])))
 
 
 def list_driven(table):
