@@ -250,7 +250,7 @@ def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
     text = np.empty(int(sizes.sum()) + PADDING, np.uint8)
     words, at = get_words(text), 0
     for part in parts:
-        _copy_payloads(part.words, part.starts, part.sizes, starts[at : at + len(part.sizes)], words)
+        copy_spans(part.words, part.starts, part.sizes, starts[at : at + len(part.sizes)], words)
         at += len(part.sizes)
     text.flags.writeable = False
     keys, key = parts[0].keys, [part.key for part in parts]
@@ -265,8 +265,8 @@ def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
 
 
 @njit(cache=True)
-def _copy_payloads(words: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
-    """Copy payloads to ascending places of another buffer; each may write a few bytes to the place of the next one."""
+def copy_spans(words: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
+    """Copy spans of a buffer to ascending places of another one; each may write up to 7 bytes after its own."""
     for i in range(len(starts)):
         start, place = starts[i], places[i]
         for k in range(0, sizes[i], 8):

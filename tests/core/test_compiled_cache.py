@@ -1,7 +1,11 @@
-"""A cached compiled function is compiled anew when any source file that it depends on changes."""
+"""A compiled function is compiled anew when a source that it depends on changes, and kept where one may write."""
 
 import importlib
+import json
 import pkgutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +15,23 @@ from numba.core.registry import CPUDispatcher
 
 import socast.core
 from socast.core.compiled_cache import watch_sources
+
+READ_ONLY = "import os; os.access = lambda *_: False\n"
+RUN = """
+import json
+from socast.core.wire.message_block import Message, MessageBlock, copy_spans
+MessageBlock.of([Message("k", b"{}", 0)]).compact()
+print(json.dumps([os.environ["NUMBA_CACHE_DIR"], list(copy_spans.stats.cache_hits.values())]))
+"""
+NOWHERE = """
+import sys, tempfile
+def refuse(**_):
+    raise OSError(30, "Read-only file system")
+tempfile.mkdtemp = refuse
+sys.argv = ["socast", "tables", "--help"]
+from socast.__main__ import main
+main()
+"""
 
 
 def list_cached_functions():
@@ -54,3 +75,20 @@ def test_stamp_changes_with_source_of_watched_module(tmp_path, monkeypatch):
 
 def _scale(values: np.ndarray) -> np.ndarray:
     return 2.0 * values
+
+
+def run_python(code):
+    return subprocess.run([sys.executable, "-c", READ_ONLY + code], capture_output=True, text=True, check=False)
+
+
+def test_compiled_code_is_copied_to_a_temporary_folder_where_no_other_can_be_written():
+    folder, hits = json.loads(run_python(RUN).stdout)
+    assert hits == [1]
+    assert not Path(folder).exists(), "it is removed at the end"
+
+
+def test_missing_temporary_folder_is_one_line():
+    done = run_python(NOWHERE)
+    assert done.returncode == 1
+    reason = "no folder for compiled code can be written: Read-only file system"
+    assert done.stderr == f"socast: {reason}; set NUMBA_CACHE_DIR or TMPDIR to one that can\n"
