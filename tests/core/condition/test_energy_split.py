@@ -255,6 +255,9 @@ def test_slower_driving_lowers_air_drag_and_takes_longer():
     parts = energies(result.fleet)
     saved = 0.19 * parts["aero_drag"] - parts["accessories"] / 9.0
     assert find(result, DRIVEN_SLOWER).energy_kwh.value == pytest.approx(saved)
+    assert "driving takes longer" in find(result, DRIVEN_SLOWER).assumption
+    whole = split_energy(planted(100).drop(columns="standing_s"), EXTENDED_PHYSICAL)
+    assert "stops included" in find(whole, DRIVEN_SLOWER).assumption
 
 
 def test_slower_driving_is_left_out_without_a_term_over_time():
