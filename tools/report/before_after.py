@@ -34,6 +34,8 @@ PLACEBOS: Final = (
 )
 FAR: Final = 6.0
 """Distance from the levels, in medians of it, beyond which a day is outside the figure."""
+MARGIN: Final = 0.03
+"""Room beyond the outermost days, of their range, so that no marker is cut."""
 BINS: Final = 31
 """Number of bars of the placebo campaigns."""
 
@@ -167,7 +169,9 @@ def _find_range(one: CarSeries) -> tuple[float, float]:
     levels = 100.0 * np.array([*one.level_before.level, *one.level_after.level])
     reach = FAR * float(np.median(np.abs(days - np.median(days)))) + 1.0
     low, high = float(levels.min()) - reach, float(levels.max()) + reach
-    return max(low, float(days.min()) - 1.0), min(high, float(days.max()) + 1.0)
+    shown = days[(days >= low) & (days <= high)]
+    room = MARGIN * float(np.ptp(shown)) + 1.0
+    return max(low, float(shown.min()) - room), min(high, float(shown.max()) + room)
 
 
 def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:

@@ -191,7 +191,7 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
             ("rate, %/year", lambda car: _format_rate(car.consumption)),
             ("changed", _list_changes),
             ("usable, kWh", _format_usable),
-            ("its rate, %/year", lambda car: _format_rate(car.capacity)),
+            ("battery rate, %/year", lambda car: _format_rate(car.capacity)),
         ],
         (NOTE, STEP_NOTE),
     )
@@ -272,10 +272,11 @@ def _illustrate(result: FleetCondition) -> list[Illustration]:
 def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
     """Return a figure of the consumption and the usable capacity of a car over the dates, with known events."""
     traces: list[dict[str, Any]] = []  # plotly checks traces of its own types twice
-    for place, (name, trend) in enumerate((("consumption", car.consumption), ("usable capacity", car.capacity))):
+    parts = (("consumption", car.consumption, 2, "solid"), ("usable capacity", car.capacity, 4, "dot"))
+    for name, trend, place, dash in parts:  # the reference line is dashed
         if trend is None:
             continue
-        look = get_style(2 + 2 * place)
+        look = get_style(place)
         middle = [each or 0.0 for each in trend.path_pct]
         spread = [NORMAL_95 * (each or 0.0) for each in trend.path_sd_pct]
         band = [m + s for m, s in zip(middle, spread, strict=True)]
@@ -302,7 +303,7 @@ def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
                 "x": trend.dates,
                 "y": middle,
                 "mode": "lines",
-                "line": {"color": look.colour, "dash": look.dash},
+                "line": {"color": look.colour, "dash": dash},
                 "name": name,
             },
         ]

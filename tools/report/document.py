@@ -141,7 +141,8 @@ def print_heading(title: str, console: Console) -> None:
 
 def _table(table: ReportTable) -> Table:
     """Return a table of a report as a table of rich."""
-    made = make_table([Column(table.corner), *(Column(head, number=True) for head in table.columns)], table.title)
+    columns = [Column(head, number=number) for head, number in zip(table.columns, table.numeric, strict=True)]
+    made = make_table([Column(table.corner), *columns], table.title)
     for i, row in enumerate(table.rows):
         ends = row.total or (i + 1 < len(table.rows) and table.rows[i + 1].total)
         made.add_row(Text(row.name), *(_cell(cell) for cell in row.cells), end_section=ends)

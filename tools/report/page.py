@@ -15,6 +15,8 @@ from socast.tools.report.document import Drawing, Illustration, Report, Section
 from socast.tools.report.table import Cell, ReportTable, Row
 from socast.tools.terminal.output import REPORT_VERSIONS, write_file
 
+WORDS: Final = ' class="words"'
+"""Attribute of the cells of a column of words."""
 COMMAND: Final = "socast "
 """Begin of a line that is a command."""
 POLICY: Final = (
@@ -171,8 +173,10 @@ def _table(table: ReportTable, *, captioned: bool) -> str:
     """Return a table in a frame that scrolls sideways where the table is too wide."""
     title = escape_text(table.title)
     caption = f"<caption>{title}</caption>" if captioned else ""
-    head = "".join(f'<th scope="col">{escape_text(name)}</th>' for name in (table.corner, *table.columns))
-    rows = "".join(_row(row) for row in table.rows)
+    kinds = ["" if number else WORDS for number in table.numeric]
+    columns = zip((table.corner, *table.columns), ("", *kinds), strict=True)
+    head = "".join(f'<th scope="col"{kind}>{escape_text(name)}</th>' for name, kind in columns)
+    rows = "".join(_row(row, kinds) for row in table.rows)
     notes = "".join(f"<p>{escape_text(note)}</p>" for note in table.all_notes)
     return (
         f'<div class="table"><div class="scroll" role="region" tabindex="0" aria-label="{title}"><table>{caption}'
@@ -180,13 +184,13 @@ def _table(table: ReportTable, *, captioned: bool) -> str:
     )
 
 
-def _row(row: Row) -> str:
-    kind = ' class="total"' if row.total else ""
+def _row(row: Row, kinds: Sequence[str]) -> str:
+    total = ' class="total"' if row.total else ""
     name = f'<a href="#{escape(row.link)}">{escape_text(row.name)}</a>' if row.link else escape_text(row.name)
-    return f'<tr{kind}><th scope="row">{name}</th>{"".join(_cell(cell) for cell in row.cells)}</tr>'
+    return f'<tr{total}><th scope="row">{name}</th>{"".join(map(_cell, row.cells, kinds))}</tr>'
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: Cell, kind: str) -> str:
     text = escape_text(cell.text)
     paper = f' <span class="paper">({escape_text(cell.paper)})</span>' if cell.paper else ""
-    return f"<td>{f'<b>{text}</b>' if cell.strong else text}{paper}</td>"
+    return f"<td{kind}>{f'<b>{text}</b>' if cell.strong else text}{paper}</td>"

@@ -1,5 +1,6 @@
 """Define the tables of a report before they are printed or become HTML, make them of records, and format figures."""
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
@@ -19,6 +20,8 @@ PAPER_NOTE: Final = (
 
 UNKNOWN: Final = "–"
 """Text where there is no figure."""
+NUMBER: Final = re.compile(r"(?!\d{4}-\d\d-\d\d)[<>~]? ?[-+−±]?\d")
+"""Begin of a cell that is a number; a date is words."""
 
 
 Figure = EstimatedValue | float | None
@@ -78,9 +81,20 @@ class ReportTable(NamedTuple):
         return any(cell.paper for row in self.rows for cell in row.cells)
 
     @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Whether each column but that of row names holds numbers, which are aligned to the right; else words."""
+        return tuple(_holds_numbers([row.cells[i].text for row in self.rows]) for i in range(len(self.columns)))
+
+    @property
     def all_notes(self) -> tuple[str, ...]:
         """Notes of the table, with `PAPER_NOTE` where figures of the paper are shown."""
         return (*self.notes, PAPER_NOTE) if self.beside_paper else self.notes
+
+
+def _holds_numbers(texts: Sequence[str]) -> bool:
+    """Return whether at least half of the known cells of a column begin with a number."""
+    known = [text for text in texts if text not in {"", UNKNOWN}]
+    return 2 * sum(NUMBER.match(text) is not None for text in known) >= len(known)
 
 
 def get_value(figure: Figure) -> float | None:

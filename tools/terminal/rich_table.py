@@ -1,7 +1,7 @@
 """The common style of all tables in the terminal."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from rich import box
@@ -158,7 +158,9 @@ class _NumberTable(Table):
                     self._measure_least(column, breaking._replace(headings=False, texts=False))
                     for column in self.columns
                 ]
-                for column, width in zip(self.columns, distribute_width(least, unbroken, most, room), strict=True):
+                words = {number for number, column in enumerate(self.columns) if column.justify != "right"}
+                widths = distribute_width(least, unbroken, most, room, words)
+                for column, width in zip(self.columns, widths, strict=True):
                     column.width = width
                 return
         self._tie(ANY)
@@ -186,10 +188,13 @@ class _NumberTable(Table):
         return max(cells, heading)
 
 
-def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequence[int], room: int) -> list[int]:
+def distribute_width(
+    least: Sequence[int], unbroken: Sequence[int], most: Sequence[int], room: int, words: Collection[int] = ()
+) -> list[int]:
     """Return widths of columns that fill a room.
 
-    As many columns as possible take the width at which no word is broken. What remains goes to the narrowest columns.
+    As many columns as possible take the width at which no word is broken. What remains goes to the narrowest columns,
+    to those of words last.
 
     Units: room [characters].
 
@@ -197,6 +202,8 @@ def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequen
     ----------
     least, unbroken, most : sequence of int
         Width of each column that it needs at least, without broken words, and without line breaks. [characters]
+    words : collection of int
+        Places of the columns of words.
 
     Examples
     --------
@@ -208,9 +215,9 @@ def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequen
         if unbroken[i] - least[i] <= room - sum(widths):
             widths[i] = unbroken[i]
     for _ in range(room - sum(widths)):
-        growing = [(width, i) for i, width in enumerate(widths) if width < most[i]]
+        growing = [(i in words, width, i) for i, width in enumerate(widths) if width < most[i]]
         if growing:
-            widths[min(growing)[1]] += 1
+            widths[min(growing)[-1]] += 1
     return widths
 
 

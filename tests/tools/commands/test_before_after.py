@@ -64,6 +64,15 @@ def test_page_shows_the_days_and_the_placebo_campaigns(answer):
         assert_axes_are_titled(figure)
 
 
+def test_no_day_of_the_figure_is_cut_by_its_edge(answer):
+    figure = read_figures(answer[2])["figure-days-0"]
+    low, high = figure["layout"]["yaxis"]["range"]
+    room = 0.02 * (high - low)
+    days = [y for trace in figure["data"] if trace.get("mode") == "markers" for y in trace["y"]]
+    assert days
+    assert all(y < low or low + room < y < high - room or y > high for y in days)
+
+
 def test_car_without_the_effect_shows_no_change(tables):
     text = " ".join(called("before-after", tables, *MODEL, "--vehicles", "taxi-002", "--at", "2018-11-10")[0].split())
     assert "No change of taxi-002 is shown since 10 November 2018:" in text

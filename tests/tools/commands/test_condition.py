@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from msgspec.structs import replace
 
-from socast.core.condition.records import CarCondition, CarEvent
+from socast.core.condition.records import CarCondition, CarEvent, Trend
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.tools.report.condition import ROW_PX, ROWS, draw_car
 from tests.support.commands import called, done, refused
@@ -121,6 +121,28 @@ def test_many_events_leave_room_for_the_figure():
     assert len(lines) == 28
     assert len(figure.layout.annotations) == ROWS
     assert figure.layout.height == 280 + ROWS * ROW_PX
+
+
+def test_level_is_no_dashed_line_as_the_reference_is():
+    trend = Trend(
+        days=2,
+        level_pct=1.0,
+        ci68_pct=(0.0, 2.0),
+        ci95_pct=(-1.0, 3.0),
+        rate_pct=None,
+        rate_ci95_pct=None,
+        is_changing=False,
+        steps=[],
+        dates=["2018-11-01", "2018-11-02"],
+        measured_pct=[1.0, 1.0],
+        path_pct=[1.0, 1.0],
+        path_sd_pct=[1.0, 1.0],
+    )
+    car = CarCondition(vehicle_id="a", vehicle_model="m", siblings=0, consumption=trend, capacity=trend)
+    figure = draw_car(car)
+    dashes = {trace.line.dash for trace in figure.data if trace.mode == "lines"}
+    assert len(dashes) == 2
+    assert figure.layout.shapes[0].line.dash not in dashes
 
 
 def test_file_without_events_is_refused_before_the_rides_are_read(slower, tmp_path, capsys):

@@ -124,25 +124,26 @@ function markDates(dates) {
       return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]} ${String(date.getUTCFullYear()).slice(2)}`;
     };
     const number = Math.min(room, 5, Math.max(2, Math.floor(high - low)));
-    const step = Math.max(1, Math.ceil((high - low) / (number - 1)));
+    const step = Math.max(1, Math.floor((high - low) / (number - 1)));
     return Array.from({ length: number }, (_, i) => low + i * step).filter((day) => day <= high).map((value) => ({ value, text: text(value) }));
   };
 }
 
 function drawTable(cars) {
   const between = (value, ends) => (value === null || value === undefined || !ends ? "–" : `${signed(value, 1)} (${signed(ends[0], 1)} to ${signed(ends[1], 1)})`);
+  const list = (trend, what) => (trend?.steps ?? []).map((step) => `${step.since} ${what}${signed(step.change_pct, 1)} %`);
   const row = ({ vehicle_id: name, consumption, capacity, usable_kwh: usable, nominal_kwh: nominal }) => el("tr", {},
     el("th", { scope: "row" }, name),
-    el("td", {}, between(consumption?.level_pct, consumption?.ci95_pct)),
-    el("td", {}, between(consumption?.rate_pct, consumption?.rate_ci95_pct)),
-    el("td", {}, (consumption?.steps ?? []).map((step) => `${step.since} ${signed(step.change_pct, 1)} %`).join(", ")),
-    el("td", {}, usable === null ? "–" : `${number(usable, 1)} of ${number(nominal, 1)}`),
-    el("td", {}, between(capacity?.rate_pct, capacity?.rate_ci95_pct)));
-  const heads = ["Car", "Consumption, %", "Rate, %/year", "Changed", "Usable, kWh", "Battery, %/year"];
+    el("td", { class: "number" }, between(consumption?.level_pct, consumption?.ci95_pct)),
+    el("td", { class: "number" }, between(consumption?.rate_pct, consumption?.rate_ci95_pct)),
+    el("td", {}, [...list(consumption, ""), ...list(capacity, "battery ")].join(", ") || "–"),
+    el("td", { class: "number" }, usable === null ? "–" : `${number(usable, 1)} of ${number(nominal, 1)}`),
+    el("td", { class: "number" }, between(capacity?.rate_pct, capacity?.rate_ci95_pct)));
+  const heads = ["Car", "Consumption, %", "Rate, %/year", "Changed", "Usable, kWh", "Battery rate, %/year"];
   return el("section", { class: "card stack", "aria-label": "All cars" }, el("h2", {}, "All cars"),
     el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Table of all cars" },
-      el("table", {}, el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", {}, cars.map(row)))),
-    el("p", { class: "note small" }, "Beside the mean of the other cars of the vehicle model on the same dates. In parentheses: 95 % intervals. A dash: the dates are too few."));
+      el("table", {}, el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col", class: head.includes(",") && "number" }, head)))), el("tbody", {}, cars.map(row)))),
+    el("p", { class: "note small" }, "Beside the mean of the other cars of the vehicle model on the same dates. In parentheses: 95 % intervals. A dash: the dates are too few, or nothing changed suddenly."));
 }
 
 function drawEnergy(energy) {
@@ -157,7 +158,7 @@ function drawEnergy(energy) {
   };
   return el("section", { class: "card stack", "aria-label": "Where the energy goes" },
     el("h2", {}, "Where the energy goes"),
-    el("p", {}, `${number(energy.measured.energy_kwh.value, 1)} kWh over ${number(energy.distance_km)} km: ${number(energy.measured.per_100km_kwh.value, 2)} kWh/100 km, of which, in kWh/100 km,`),
+    el("p", {}, `${number(energy.measured.energy_kwh.value, 1)} kWh over ${number(energy.distance_km)} km: ${number(energy.measured.per_100km_kwh.value, 2)} kWh/100 km. Of this, in kWh/100 km:`),
     el("div", { class: "shares" }, energy.shares.map(bar)),
     el("p", { class: "note small" }, "Negative: given back to the motion or to the battery. The parts add up to the measured energy."));
 }

@@ -96,7 +96,9 @@ function drawNavigation({ page: name, ...state }) {
   const chosen = PAGES[name]?.within ?? name;
   const links = Object.entries(PAGES).filter(([, page]) => !page.within).map(([key, page]) =>
     el("a", { href: writeState({ page: key, model: key === FIRST ? undefined : model }), "aria-current": key === chosen ? "page" : null }, page.title));
-  document.getElementById("pages").replaceChildren(...links);
+  const bar = document.getElementById("pages");
+  bar.replaceChildren(...links);
+  bar.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "nearest" }); // a narrow bar scrolls
   drawModelInUse();
 }
 

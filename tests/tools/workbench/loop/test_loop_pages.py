@@ -227,6 +227,8 @@ def test_pages_are_accessible_and_fit_a_telephone(browser, server, scheme):
         page.locator(place).first.wait_for()
         assert list_violations(page) == [], name
         assert page.evaluate("() => document.documentElement.scrollWidth") == NARROW["width"], name
+        chosen = page.locator("#pages [aria-current]").bounding_box()
+        assert chosen["x"] + chosen["width"] <= NARROW["width"], name
     assert narrow.errors == []
     narrow.close()
 
@@ -238,6 +240,10 @@ def test_condition_describes_each_car_and_where_the_energy_goes(visit):
     page.locator(".facets .chart").nth(4).wait_for()
     assert page.get_by_role("region", name="Table of all cars").locator("tbody tr").count() == 5
     assert "unexplained" in page.get_by_role("region", name="Where the energy goes").inner_text()
+    heads = page.get_by_role("region", name="Table of all cars").locator("th.number")
+    assert heads.all_inner_texts() == ["Consumption, %", "Rate, %/year", "Usable, kWh", "Battery rate, %/year"]
+    marks = page.locator(".facets .chart").first.locator("text").all_text_contents()
+    assert any("Dec 18" in mark for mark in marks)  # the end of the dates has a mark as their beginning has
     page.get_by_text("socast condition").wait_for(state="attached")
     page.get_by_text("socast waterfall").wait_for(state="attached")
 
