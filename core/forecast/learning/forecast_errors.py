@@ -113,6 +113,24 @@ class ShiftErrors(NamedTuple):
     waiting: Floats
     done: Floats
 
+    def dump(self) -> Any:
+        """Return the errors as plain values."""
+        return self.basis, *(each.tobytes() for each in self[1:])
+
+    @classmethod
+    def load(cls, state: Any) -> "ShiftErrors":
+        """Return the errors that `dump` returned; raise ValueError where their numbers do not fit."""
+        basis, ahead_km, scores, outcomes, *rest = state
+        known = cls(
+            int(basis),
+            *map(np.frombuffer, (ahead_km, scores)),
+            np.frombuffer(outcomes, np.int64),
+            *map(np.frombuffer, rest),
+        )
+        if len(known.ahead_km) != len(known.scores) or len({len(each) for each in known[4:]}) > 1:
+            raise ValueError("errors of forecasts of another number")
+        return known
+
 
 class ForecastLog:
     """Record forecasts of the shifts in progress until their end."""
