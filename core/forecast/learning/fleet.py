@@ -226,6 +226,7 @@ class FleetStatistics:
         self._update_kinds()
         usual = {name: self._interpolate(name, kinds, weights) for name in _USUAL}
         usual["warm_up_energy"] = usual["warm_up_energy"] * compute_warm_up_left(awake_s)
+        usual["level_sd"] = self._interpolate("level_sd", kinds, weights)
         usual["ride_pace"] = self._stacked["ride_pace"][kinds, 0]
         plans, n = self.plan_outcomes, len(kinds)
         return UsualConsumption(
