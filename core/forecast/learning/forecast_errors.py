@@ -120,13 +120,9 @@ class ShiftErrors(NamedTuple):
     @classmethod
     def load(cls, state: Any) -> "ShiftErrors":
         """Return the errors that `dump` returned; raise ValueError where their numbers do not fit."""
-        basis, ahead_km, scores, outcomes, *rest = state
-        known = cls(
-            int(basis),
-            *map(np.frombuffer, (ahead_km, scores)),
-            np.frombuffer(outcomes, np.int64),
-            *map(np.frombuffer, rest),
-        )
+        basis, *packed = state
+        types = (np.int64 if name == "outcomes" else np.float64 for name in cls._fields[1:])
+        known = cls(int(basis), *(np.frombuffer(*each) for each in zip(packed, types, strict=True)))
         if len(known.ahead_km) != len(known.scores) or len({len(each) for each in known[4:]}) > 1:
             raise ValueError("errors of forecasts of another number")
         return known
