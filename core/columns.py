@@ -155,6 +155,7 @@ _SUMMARY: Final = (
     Column("start_s", "s", "Unix time of the first sample", "cleaning"),
     Column("end_s", "s", "Unix time of the last sample", "cleaning"),
     Column("duration_s", "s", "time that its samples stand for", "totals"),
+    Column("standing_s", "s", "part of `duration_s` in which the car stood", "totals"),
     Column("distance_km", "km", "distance driven", "totals"),
     Column("average_speed_kmh", "km/h", "distance over duration", "totals"),
     Column("gained_m", "m", "sum of all climbs; in `tables` from elevation smoothed over the whole ride", "totals"),

@@ -6,8 +6,8 @@ import time
 from math import inf
 from typing import Any, Final
 
-ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
-"""Signals that end a command; the last one is that of an interrupt that comes again."""
+from socast.tools.terminal.stop_signals import ENDING, set_handler
+
 INTERRUPTED: Final = 130
 """Exit code of a command that one of them ended, unless it handles signals itself."""
 CALM_S: Final = 1.0
@@ -32,13 +32,22 @@ class _Interrupter:
             self.was_asked, self.calm_until = True, now + CALM_S
             raise _Interrupt
 
-    def ask_again(self, lost: Any) -> None:
-        """Interrupt again soon, as a hook for exceptions that have nowhere to go."""
-        if issubclass(lost.exc_type, _Interrupt):
+    def hook_unraisable(self, lost: Any) -> None:
+        """Interrupt again where an exception has nowhere to go, as in a destructor."""
+        if not self._ask_again(lost.exc_type):
+            sys.__unraisablehook__(lost)
+
+    def hook_printed(self, kind: type[BaseException], *lost: Any) -> None:
+        """Interrupt again where compiled code would print an exception and go on."""
+        if not self._ask_again(kind):
+            sys.__excepthook__(kind, *lost)
+
+    def _ask_again(self, kind: type[BaseException] | None) -> bool:
+        """Interrupt again soon if an exception is an interrupt; return whether it is."""
+        if is_interrupt := kind is _Interrupt:
             self.calm_until = 0.0
             signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
-        else:
-            sys.__unraisablehook__(lost)
+        return is_interrupt
 
 
 def main() -> None:
@@ -46,8 +55,8 @@ def main() -> None:
     interrupter = _Interrupter()
     code: Any = 0
     try:
-        sys.unraisablehook = interrupter.ask_again
-        _treat_signals(interrupter)
+        sys.unraisablehook, sys.excepthook = interrupter.hook_unraisable, interrupter.hook_printed
+        set_handler(interrupter, [*ENDING, signal.SIGALRM])
         from socast.tools.cli import main as run  # noqa: PLC0415 - signals that come meanwhile end the process calmly
 
         run()
@@ -61,15 +70,8 @@ def main() -> None:
         code = INTERRUPTED
     finally:
         interrupter.calm_until = inf
-        _treat_signals(signal.SIG_IGN)  # one that comes too late must not change the exit code
+        set_handler(signal.SIG_IGN, [*ENDING, signal.SIGALRM])  # one that comes too late must not change the exit code
     raise SystemExit(code)
-
-
-def _treat_signals(handler: Any) -> None:
-    """Set the handler of the signals that end a command, but not of one that is ignored, as `nohup` leaves it."""
-    for number in ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, handler)
 
 
 if __name__ == "__main__":

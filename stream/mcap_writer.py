@@ -1,11 +1,11 @@
 """The MCAP writer: it stores every payload verbatim, with its Zenoh key and its time of receipt.
 
 The topic is the key, the message encoding is `json` and the schema encoding is `jsonschema`; batches of gateways have
-the message encoding `ARROW` and no schema. `log_time` is the time of
-receipt and `publish_time` is the sender's `time_s`. Chunks are compressed with zstd and indexed. Each chunk describes
-the channels that it uses, so that a damaged chunk does not make other chunks unreadable. The loops over single
-messages, in writer and reader, pack and unpack records without the `mcap` package, which needs 5 to 7 µs per message. A
-metadata record `socast` after the header says what wrote the recording.
+the message encoding `ARROW` and no schema. `log_time` is the time of receipt and `publish_time` is the sender's
+`time_s`. Chunks are compressed with zstd and indexed. Each chunk describes the channels that it uses, so that a damaged
+chunk does not make other chunks unreadable. Writer and reader take the messages of a chunk as columns, without the
+`mcap` package, which needs 5 to 7 µs per message. A metadata record `socast` after the header says what wrote the
+recording.
 
 References
 ----------
@@ -14,7 +14,6 @@ MCAP format specification, https://mcap.dev/spec.
 
 import json
 import os
-import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,13 +21,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-import msgspec
+import numpy as np
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -41,39 +38,19 @@ from mcap.records import (
 )
 
 from socast.core.errors import RecordingError
-from socast.core.files import UNREADABLE, replacing
+from socast.core.files import replacing
+from socast.core.wire.message_block import MessageBlock
 from socast.core.wire.messages import BATCH, KINDS, Message, address
 from socast.core.wire.schema import make_schema
 from socast.stream.closeable import Closeable
-from socast.stream.mcap_format import ARROW, FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
+from socast.stream.mcap_chunk import ChunkBuilder, encode_record
+from socast.stream.mcap_format import ARROW, FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME
 from socast.stream.recording_metadata import find_version
 
 CHUNK_BYTES: Final = 1 << 20
 """Size at which the writer compresses a chunk and writes it. [B]"""
 MOST_CHANNELS: Final = 0xFFFF
 """Largest number of keys in one recording, because the format numbers channels with 16 bits."""
-
-_BODY: Final = MESSAGE_HEAD.size - RECORD.size
-
-
-class _Stamp(msgspec.Struct, gc=False):
-    """Hold the only field of a payload that the writer reads."""
-
-    time_s: float
-
-
-_stamp = msgspec.json.Decoder(_Stamp | list[_Stamp]).decode
-
-
-def _find_publish_time(payload: bytes, receipt_ns: int) -> int:
-    """Return the sender's time, or the time of receipt if the payload has no valid time, or is a batch. [ns]"""
-    try:
-        stamp = _stamp(payload)
-        time_s = (stamp[0] if isinstance(stamp, list) else stamp).time_s
-        time_ns = round(time_s * 1e6) * 1000  # a float of Unix time resolves 0.25 µs
-    except (*UNREADABLE, IndexError, OverflowError):
-        return receipt_ns
-    return time_ns if 0 <= time_ns < 1 << 64 else receipt_ns
 
 
 class McapSink(Closeable):
@@ -121,21 +98,22 @@ class McapSink(Closeable):
         self._viewer_keys: dict[str, int] = {}
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
+        self._descriptions: list[list[bytes]] = []
         self._counts: Counter[int] = Counter()
-        self._indexes: list[ChunkIndex] = []
+        self._indexes: list[bytes] = []
         self._span: tuple[int, int] | None = None
-        self._start_chunk()
+        self._chunk = ChunkBuilder()
         with _explain(self.path, "choose another place"):
             self._file: BinaryIO = (file or self.path).open("wb")
-        begin = MAGIC + _encode_record(Header(profile="", library="socast"))
-        about = _encode_record(Metadata(METADATA_NAME, {"version": find_version()} | dict(metadata or {})))
+        begin = MAGIC + encode_record(Header(profile="", library="socast"))
+        about = encode_record(Metadata(METADATA_NAME, {"version": find_version()} | dict(metadata or {})))
         self._metadata_index = MetadataIndex(len(begin), len(about), METADATA_NAME)
         self._write(begin + about, flush=True)
 
     @property
     def written(self) -> int:
         """Return the size of the recording so far. [B]"""
-        return self._file.tell() + self._size if not self._file.closed else self.path.stat().st_size
+        return self._file.tell() + self._chunk.size if not self._file.closed else self.path.stat().st_size
 
     @property
     def full(self) -> bool:
@@ -163,23 +141,24 @@ class McapSink(Closeable):
         for_viewers : bool
             Put them on channels of their own, which only viewers read and `McapSource` leaves out.
         """
-        parts, pack, body = self._parts, MESSAGE_HEAD.pack, _BODY
-        keys = self._viewer_keys if for_viewers else self._keys
-        for key, payload, receipt_ns in messages:
-            channel = keys.get(key) or self._open(key, for_viewers=for_viewers)
-            index = self._index.get(channel)
-            if index is None:
-                index = self._describe(channel)
-            length = body + len(payload)
-            index.append(receipt_ns)
-            index.append(self._size)
-            parts.append(pack(5, length, channel, 0, receipt_ns, _find_publish_time(payload, receipt_ns)))
-            parts.append(payload)
-            self._size += length + 9
-            if self._size >= self._chunk_bytes:
+        block = MessageBlock.of(messages)
+        for key in block.list_keys():
+            self._find_channel(key, for_viewers=for_viewers)
+        while len(block):
+            count = self._count_fitting(block)
+            self._chunk.put(block[:count], for_viewers=for_viewers)
+            self.messages += count
+            block = block[count:]
+            if self._chunk.size >= self._chunk_bytes:
                 self._end_chunk()
-                parts = self._parts
-        self.messages += len(messages)
+
+    def _count_fitting(self, block: MessageBlock) -> int:
+        """Return how many of the messages, from the first on, fill the chunk."""
+        room = self._chunk_bytes - self._chunk.size
+        if block.size + MESSAGE_HEAD.size * len(block) < room:
+            return len(block)
+        ends = np.cumsum(block.columns.sizes + MESSAGE_HEAD.size)
+        return min(len(block), int(np.searchsorted(ends, room)) + 1)
 
     def flush(self) -> None:
         """Write the unfinished chunk, so that a reader finds every message that was put."""
@@ -204,7 +183,7 @@ class McapSink(Closeable):
             return
         try:
             self._end_chunk()
-            self._write(_encode_record(DataEnd(data_section_crc=0)))
+            self._write(encode_record(DataEnd(data_section_crc=0)))
             self._write(self._make_summary() + MAGIC, flush=True)
         finally:
             self._file.close()
@@ -221,77 +200,56 @@ class McapSink(Closeable):
         except (FileNotFoundError, NotADirectoryError):
             return False
 
-    def _open(self, key: str, *, for_viewers: bool) -> int:
-        """Return the channel number of a new key."""
+    def _find_channel(self, key: str, *, for_viewers: bool) -> int:
+        """Return the channel number of a key, which may be new."""
+        keys = self._viewer_keys if for_viewers else self._keys
+        if key in keys:
+            return keys[key]
         if self.full:
             raise RecordingError(
                 f"{self.path}: key {MOST_CHANNELS + 1:,} is {key}; a recording holds {MOST_CHANNELS:,}"
             )
         channel = len(self._channels) + 1
-        (self._viewer_keys if for_viewers else self._keys)[key] = channel
+        keys[key] = channel
         schema = self._find_schema(key, for_viewers=for_viewers)
         encoding = ARROW if (known := address(key)) and known.kind == BATCH else "json"
-        self._channels.append(Channel(channel, key, encoding, FOR_VIEWERS if for_viewers else {}, schema))
+        number = schema.id if schema else 0
+        record = Channel(channel, key, encoding, FOR_VIEWERS if for_viewers else {}, number)
+        self._channels.append(record)
+        self._descriptions.append([encode_record(each) for each in (schema, record) if each])
         return channel
 
-    def _find_schema(self, key: str, *, for_viewers: bool) -> int:
-        """Return the number of the schema of a key; 0 for none, as of batches and outside the wire contract."""
+    def _find_schema(self, key: str, *, for_viewers: bool) -> Schema | None:
+        """Return the schema of a key; None as of batches and outside the wire contract."""
         known = address(key)
         if known and known.kind == BATCH:
-            return 0
+            return None
         kind = known.kind if known else key.rpartition("/")[2]
         if not known and not (for_viewers and kind in self._viewer_schemas):
-            return 0
+            return None
         if kind not in self._schemas:
             schema = make_schema(kind) if known else self._viewer_schemas[kind]
             name = KINDS[kind].__name__ if known else schema["title"]
             self._schemas[kind] = Schema(len(self._schemas) + 1, json.dumps(schema).encode(), "jsonschema", name)
-        return self._schemas[kind].id
-
-    def _describe(self, channel: int) -> list[int]:
-        """Add the schema and the channel to the chunk before the channel's first message, and start its index."""
-        record = self._channels[channel - 1]
-        for wire in self._schemas.values():
-            if wire.id == record.schema_id and wire.id not in self._described:
-                self._described.add(wire.id)
-                self._append(_encode_record(wire))
-        self._append(_encode_record(record))
-        return self._index.setdefault(channel, [])
-
-    def _append(self, data: bytes) -> None:
-        """Add a record other than a message to the unfinished chunk."""
-        self._parts.append(data)
-        self._size += len(data)
-
-    def _start_chunk(self) -> None:
-        """Start an empty chunk."""
-        self._parts: list[bytes] = []
-        self._index: dict[int, list[int]] = {}
-        self._described: set[int] = set()
-        self._size = 0
+        return self._schemas[kind]
 
     def _end_chunk(self) -> None:
         """Write the unfinished chunk and its message indexes."""
-        if not self._index:
+        chunk = self._chunk.pack([self._keys, self._viewer_keys], self._descriptions, self._compress)
+        if chunk is None:
             return
-        data = b"".join(self._parts)
-        packed = self._compress(data)
-        times = [time for index in self._index.values() for time in index[::2]]
-        first, last = min(times), max(times)
+        (first, last), offset = chunk.span, self._file.tell()
+        begin, *ends = np.cumsum([offset + len(chunk.record), *map(len, chunk.indexes)]).tolist()
+        self._write(chunk.record + b"".join(chunk.indexes), flush=True)
         self._span = (min(first, self._span[0]), max(last, self._span[1])) if self._span else (first, last)
-        offset = self._file.tell()
-        chunk = _encode_record(Chunk("zstd", packed, last, first, zlib.crc32(data), len(data)))
-        tables, places, at = [], {}, offset + len(chunk)
-        for channel, index in self._index.items():
-            self._counts[channel] += len(index) // 2
-            places[channel] = at
-            tables.append(struct.pack(f"<BQHI{len(index)}Q", 7, 6 + 8 * len(index), channel, 8 * len(index), *index))
-            at += len(tables[-1])
-        self._write(chunk + b"".join(tables), flush=True)
-        self.kept = self._counts.total()
-        size = at - offset - len(chunk)
-        self._indexes.append(ChunkIndex(len(chunk), offset, "zstd", len(packed), last, size, places, first, len(data)))
-        self._start_chunk()
+        self._counts.update(chunk.counts)
+        self.kept += sum(chunk.counts.values())
+        places = dict(zip(chunk.counts, [begin, *ends[:-1]], strict=True))
+        index = ChunkIndex(
+            len(chunk.record), offset, "zstd", chunk.packed_size, last, ends[-1] - begin, places, first, chunk.size
+        )
+        self._indexes.append(encode_record(index))  # as bytes it takes a tenth of the memory
+        self._chunk = ChunkBuilder()
 
     def _make_summary(self) -> bytes:
         """Return the summary section and the footer."""
@@ -300,19 +258,22 @@ class McapSink(Closeable):
             0, len(self._channels), dict(self._counts), len(self._indexes), self._counts.total(), last, first, 1,
             len(self._schemas),
         )  # fmt: skip
-        schemas, about = list(self._schemas.values()), self._metadata_index
-        groups: tuple[list[Any], ...] = (schemas, self._channels, [statistics], self._indexes, [about])
-        opcodes = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX)
+        groups = {
+            Opcode.SCHEMA: map(encode_record, self._schemas.values()),
+            Opcode.CHANNEL: map(encode_record, self._channels),
+            Opcode.STATISTICS: [encode_record(statistics)],
+            Opcode.CHUNK_INDEX: self._indexes,
+            Opcode.METADATA_INDEX: [encode_record(self._metadata_index)],
+        }
         start = at = self._file.tell()
         parts, offsets = [], b""
-        for opcode, records in zip(opcodes, groups, strict=True):
-            group = b"".join(map(_encode_record, records))
-            offsets += _encode_record(SummaryOffset(opcode, at, len(group)))
-            parts.append(group)
+        for opcode, records in groups.items():
+            parts.append(group := b"".join(records))
+            offsets += encode_record(SummaryOffset(opcode, at, len(group)))
             at += len(group)
         data = b"".join(parts) + offsets
         crc = zlib.crc32(FOOTER_RECORD.pack(Opcode.FOOTER, 20, start, at, 0)[:-4], zlib.crc32(data))
-        return data + _encode_record(Footer(summary_offset_start=at, summary_start=start, summary_crc=crc))
+        return data + encode_record(Footer(summary_offset_start=at, summary_start=start, summary_crc=crc))
 
     def _write(self, data: bytes, *, flush: bool = False) -> None:
         """Write data to the file; raise `RecordingError` if the disk refuses them."""
@@ -350,10 +311,3 @@ def _explain(path: Path, remedy: str = "make room or stop recording") -> Iterato
         yield
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror}; {remedy}") from error
-
-
-def _encode_record(record: Any) -> bytes:
-    """Return the bytes of a record of the `mcap` package."""
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]

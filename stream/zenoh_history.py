@@ -22,13 +22,13 @@ from itertools import count, islice
 from math import inf, isfinite
 from typing import Any, Final
 
-import msgspec
 import zenoh
 from zenoh import handlers
 
 from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, BatchError, read_times
+from socast.core.wire.json_scanner import read_time
 from socast.core.wire.messages import BATCH, OF_VEHICLES
 from socast.stream.zenoh_session import Node, format_zenoh_error
 
@@ -358,13 +358,6 @@ def _drain(queries: Sequence[Any]) -> tuple[list[Any], list[Any]]:
     return out, still
 
 
-class _Sent(msgspec.Struct, gc=False):
-    """Hold the only field of a payload by which samples without a timestamp are ordered."""
-
-    time_s: float
-
-
-_sent = msgspec.json.Decoder(_Sent | list[_Sent]).decode
 _MOST_ROWS: Final = Limits().list_samples
 
 
@@ -403,13 +396,11 @@ def _find_time(sample: Any) -> float:
         return int(str(sample.timestamp).partition("/")[0])
     payload = sample.payload.to_bytes()
     try:
-        if payload.startswith(PREFIX):
-            time_s = read_times(payload, _MOST_ROWS)[0].item()
-            return time_s * 2.0**32 if isfinite(time_s) else -inf
-        sent = _sent(payload)
-        return (sent[0] if isinstance(sent, list) else sent).time_s * 2.0**32
+        is_batch = payload.startswith(PREFIX)
+        time_s = float(read_times(payload, _MOST_ROWS)[0]) if is_batch else read_time(payload)
     except (*UNREADABLE, BatchError, IndexError):
         return -inf
+    return time_s * 2.0**32 if isfinite(time_s) else -inf
 
 
 def _receive(channel: Any) -> tuple[list[Any], bool]:

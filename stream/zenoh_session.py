@@ -117,6 +117,7 @@ class Node(Closeable):
         self.prefix = parse_prefix(connection.prefix)
         config = _make_config(connection)
         self.endpoints: list[str] = _list_endpoints(config)
+        self.routers: list[str] = _list_endpoints(config, "connect")
         _check_limits()
         try:
             self.session = zenoh.open(config)
@@ -232,16 +233,17 @@ def _check_limits() -> None:
 def _read_config(file: Path) -> zenoh.Config:
     """Return the configuration of a file."""
     try:
-        content = np.frombuffer(read_input(file), np.uint8)  # Zenoh itself would read a file of any size
-        opened = np.isin(content, list(b"[{")).astype(np.int64) - np.isin(content, list(b"]}"))
+        content = read_input(file)  # Zenoh itself would read a file of any size, and a pipe again
+        characters = np.frombuffer(content, np.uint8)
+        opened = np.isin(characters, list(b"[{")).astype(np.int64) - np.isin(characters, list(b"]}"))
         if np.cumsum(opened).max(initial=0) > DEEPEST:
             raise SettingsError(f"--config {file} is nested in more than {DEEPEST} levels, which no configuration is")
-        return zenoh.Config.from_file(file)
+        return zenoh.Config.from_file(file) if file.is_file() else zenoh.Config.from_json5(content.decode())
     except FileNotFoundError as error:
         raise SettingsError(f"--config {file} does not exist; `socast secure init` makes one") from error
     except OSError as error:
         raise SettingsError(f"--config {file} cannot be read: {error.strerror}") from error
-    except zenoh.ZError as error:
+    except (zenoh.ZError, UnicodeDecodeError) as error:
         raise SettingsError(f"--config {file} is not a Zenoh configuration: {_find_line(error)}") from error
 
 

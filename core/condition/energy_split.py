@@ -4,9 +4,13 @@ Each ride is predicted as a sum: the energies of the terms, each times the facto
 trees, and what a limit of the prediction takes away. The rest, measured less predicted, is unexplained. The parts
 therefore add up to the measured energy, in every group of rides.
 
+What acts over time, such as heating, also takes energy while the car stands. That is a part of its own, `WAITING`: the
+share of the time of each ride in which the car stood, of each term that acts over time.
+
 The distance of a part is its energy over the present mean consumption. The distances therefore add up to that driven.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping
 from math import inf, isfinite, sqrt
 from types import MappingProxyType
@@ -25,6 +29,7 @@ from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import ComparedRides, select_rides
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.fit.model_summary import find_freedom
+from socast.core.fit.ride_blocks import get_numbers
 from socast.core.formatting import format_count
 from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
@@ -47,6 +52,12 @@ UNKNOWN_GROUP: Final = "unknown"
 LIMIT: Final = "limit of the prediction"
 """Name of the part that the limit of a model takes away from its terms."""
 UNEXPLAINED: Final = "unexplained"
+WAITING: Final = "waiting"
+"""Name of the part that terms over time take while the car stands."""
+DRIVING: Final = " while driving"
+"""What follows the words of a term whose energy while the car stands is a part of its own."""
+STANDING: Final = "standing_s"
+"""Column of the ride table that tells how long. [s]"""
 MEASURED: Final = "measured"
 WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -92,7 +103,7 @@ class EnergyShare(EnergyAmount, frozen=True, kw_only=True):
 
     what: Annotated[str, declare("What takes the energy, in words.", "where the energy goes")]
     name: Annotated[str, declare("Name of the term of the model, or of another part.", "term")]
-    kind: Annotated[str, declare("`term`, `correction`, `limit`, `unexplained`, or `measured` for the sum.")]
+    kind: Annotated[str, declare("`term`, `waiting`, `correction`, `limit`, `unexplained`, or `measured` for the sum.")]
 
     @property
     def is_returned(self) -> bool:
@@ -161,25 +172,31 @@ class _Uncertainty(NamedTuple):
         Energy of each term per unit of its coefficient. [kWh/unit]
     keys : (n,) object
         Fit that applies to each ride.
+    standing : (n, terms) float
+        Share of it while the car stands. [1]
     """
 
     columns: Floats
     keys: NDArray[np.object_]
     model: LinearModel
+    standing: Floats
 
-    def compute_half_widths(self, rows: NDArray[np.bool_]) -> tuple[list[float | None], float | None]:
-        """Return half of the 95 % intervals of the energies of the terms, and of their sum. [kWh]"""
-        terms = self.columns.shape[1]
-        of_terms, of_sum = np.zeros(terms), 0.0
+    def compute_half_widths(self, rows: NDArray[np.bool_]) -> dict[str, float]:
+        """Return half of the 95 % intervals by part, and that of their sum as `UNEXPLAINED`; empty if unknown. [kWh]"""
+        names, squares = [term.name for term in self.model.terms], defaultdict[str, float](float)
         for key in set(self.keys[rows]):
             covariance = self.model.fits[key].covariance
             if covariance is None:
-                return [None] * terms, None
-            sums, matrix = self.columns[rows & (self.keys == key)].sum(axis=0), np.array(covariance)
-            width = float(compute_half_widths(1.0, max(find_freedom(self.model, key), 1)))
-            of_terms += width**2 * np.diag(matrix) * sums**2
-            of_sum += width**2 * float(sums @ matrix @ sums)
-        return np.sqrt(of_terms).tolist(), sqrt(max(of_sum, 0.0))
+                return {}
+            here, matrix = rows & (self.keys == key), np.array(covariance)
+            of_all, standing = self.columns[here], self.columns[here] * self.standing[here]
+            square = float(compute_half_widths(1.0, max(find_freedom(self.model, key), 1))) ** 2
+            of_terms = np.diag(matrix) * (of_all - standing).sum(axis=0) ** 2
+            for name, of_term in zip(names, of_terms.tolist(), strict=True):
+                squares[name] += square * of_term
+            for name, sums in ((WAITING, standing.sum(axis=0)), (UNEXPLAINED, of_all.sum(axis=0))):
+                squares[name] += square * max(float(sums @ matrix @ sums), 0.0)
+        return {name: sqrt(each) for name, each in squares.items()}
 
 
 class _Scale(NamedTuple):
@@ -227,7 +244,9 @@ def split_energy(
     if price is not None and not (isfinite(price) and price >= 0.0):
         raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
     chosen = select_rides(rides, {model.name: model})
-    parts, uncertainty = _split_predictions(model, chosen), _find_uncertainty(model, chosen.rides)
+    standing = _find_standing(model, chosen.rides)
+    parts = _split_predictions(model, chosen, standing)
+    uncertainty = _find_uncertainty(model, chosen.rides, standing)
     fleet = _sum_group(FLEET, np.ones(len(chosen.rides), np.bool_), chosen, parts, uncertainty, price)
     order = [share.name for share in fleet.shares]
     labels = list(zip(*(_name_by(chosen.rides, way) for way in ways), strict=True))
@@ -294,17 +313,33 @@ def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
     return list(names.astype(object).where(rides[column].notna(), UNKNOWN_GROUP))
 
 
-def _split_predictions(model: LinearModel, chosen: ComparedRides) -> dict[str, Floats]:
+def _find_standing(model: LinearModel, rides: pd.DataFrame) -> Floats:
+    """Return the share of each term of each ride while the car stands, (n, terms); 0 where the tables tell none."""
+    stood, time = (
+        np.nan_to_num(get_numbers(rides, name)) if name in rides else np.zeros(len(rides))
+        for name in (STANDING, "duration_s")
+    )
+    share = np.divide(stood, time, out=np.zeros(len(rides)), where=time > 0.0)
+    return np.outer(np.clip(share, 0.0, 1.0), [_acts_over_time(term) for term in model.terms])
+
+
+def _split_predictions(model: LinearModel, chosen: ComparedRides, standing: Floats) -> dict[str, Floats]:
     """Return the energy of each part of the predictions, whose sum is the prediction. [kWh]"""
     predicted = chosen.predicted[model.name]
     unlimited = replace(model, fits={key: replace(fit, limit=UNSET) for key, fit in model.fits.items()})
     parts = unlimited.predict_parts(chosen.rides)
     if model.count_limited(chosen.rides, predicted):
         parts[LIMIT] = predicted - np.sum(list(parts.values()), axis=0)
+    if standing.any():
+        waiting = np.zeros(len(predicted))
+        for term, share in zip(model.terms, standing.T, strict=True):
+            waiting += parts[term.name] * share
+            parts[term.name] = parts[term.name] * (1.0 - share)
+        parts[WAITING] = waiting
     return parts
 
 
-def _find_uncertainty(model: LinearModel, rides: pd.DataFrame) -> _Uncertainty:
+def _find_uncertainty(model: LinearModel, rides: pd.DataFrame, standing: Floats) -> _Uncertainty:
     """Return what the standard errors of the coefficients mean for the energies of rides."""
     ones = (1.0,) * len(model.terms)
     fits = {key: replace(fit, coefficients=ones, limit=UNSET) for key, fit in model.fits.items()}
@@ -312,7 +347,7 @@ def _find_uncertainty(model: LinearModel, rides: pd.DataFrame) -> _Uncertainty:
     kinds = rides[VEHICLE_MODEL].to_numpy(dtype=object)
     keys = np.array([kind if kind in model.fits else ANY for kind in kinds], dtype=object)
     columns = np.reshape([parts[term.name] for term in model.terms], (len(model.terms), len(rides))).T
-    return _Uncertainty(columns, keys, model)
+    return _Uncertainty(columns, keys, model, standing)
 
 
 def _sum_group(
@@ -328,19 +363,21 @@ def _sum_group(
     rides = chosen.rides[rows]
     measured, distance = float(chosen.measured[rows].sum()), float(rides["distance_km"].sum())
     scale = _Scale(measured, distance, price)
-    halves, half_of_sum = uncertainty.compute_half_widths(rows)
+    halves, terms = uncertainty.compute_half_widths(rows), uncertainty.model.terms
+    driving = {term.name for term, share in zip(terms, uncertainty.standing.T, strict=True) if share.any()}
     sums = {part: float(energy[rows].sum()) for part, energy in parts.items()}
     shares = [
         EnergyShare(
-            what=WORDS.get(part, part.replace("_", " ") if part in get_library() else part),
+            what=WORDS.get(part, part.replace("_", " ") if part in get_library() else part)
+            + (DRIVING if part in driving else ""),
             name=part,
-            kind={CORRECTION: "correction", LIMIT: "limit"}.get(part, "term"),
-            **scale.describe_amount(energy, halves[place] if place < len(halves) else None),
+            kind={CORRECTION: "correction", LIMIT: "limit", WAITING: WAITING}.get(part, "term"),
+            **scale.describe_amount(energy, halves.get(part)),
         )
-        for place, (part, energy) in enumerate(sums.items())
+        for part, energy in sums.items()
     ]
     shares.sort(key=lambda share: order.index(share.name) if order else -(share.energy_kwh.value or 0.0))
-    rest = scale.describe_amount(measured - sum(sums.values()), half_of_sum)
+    rest = scale.describe_amount(measured - sum(sums.values()), halves.get(UNEXPLAINED))
     return GroupEnergy(
         name=name,
         rides=len(rides),
@@ -408,7 +445,7 @@ def _save_by_slowing(model: LinearModel, fleet: GroupEnergy, scale: _Scale) -> E
         lacking = " and none ".join(["of air drag"] * (not drag) + ["that acts over time"] * (not time))
         return f"{DRIVEN_SLOWER}: unknown, because the model has no term {lacking}"
     saved = (1.0 - SLOWER**2) * sum(energies[name] for name in drag)
-    added = (1.0 / SLOWER - 1.0) * sum(energies[name] for name in time)
+    added = (1.0 / SLOWER - 1.0) * (sum(energies[name] for name in time) + energies.get(WAITING, 0.0))
     return EnergySaving(
         what=DRIVEN_SLOWER,
         assumption=(
@@ -445,6 +482,8 @@ def _list_notes(model: LinearModel, chosen: ComparedRides, fleet: GroupEnergy) -
     notes = [*describe_implausible(model), *describe_limited(model)]
     if limited := model.count_limited(chosen.rides, chosen.predicted[model.name]):
         notes.append(f"{format_count(limited, 'prediction')} stopped at the limit of the model")
+    if STANDING not in chosen.rides and any(_acts_over_time(term) for term in model.terms):
+        notes.append(f"the tables hold no {STANDING}, so waiting is no part of its own: make them again")
     if model.cars:
         notes.append(f"factors of {format_count(len(model.cars), 'car')} are part of each term")
     if all(share.energy_kwh.ci95 is None for share in fleet.shares):

@@ -45,6 +45,8 @@ WEIGHED: Final = 0.1
 """Probability of a step from which the level is a mean over the step and none. [1]"""
 MOST_STEPS: Final = 3
 """Largest number of steps of a car."""
+ROUNDS: Final = 4
+"""Largest number of times that the variances are estimated without the suspected steps."""
 LEAST_SIDE: Final = 3
 """Number of days with measurements before and after a step."""
 DATE_SHARE: Final = 0.9
@@ -75,13 +77,18 @@ class LevelStep(NamedTuple):
 def separate_steps(series: Series, prior: Wandering) -> tuple[Wandering, Series, list[list[LevelStep]]]:
     """Return the variances of a quantity, the series with larger variances of what is far off, and each car's steps.
 
-    The variances are estimated twice, the second time without the steps that the first ones let suspect.
+    The variances are estimated again without the steps that the first ones let suspect, until the same steps are
+    suspected by the variances without them: a level that wanders far seems to step at first.
     """
     found, rough = estimate_wandering(series, prior)
-    quiet = found._replace(wander=min(found.wander, prior.wander))
-    suspected = _list_steps(rough, quiet, SUSPECTED, every=max(-(-len(series.value) // MOST_CARS), 1))
-    found, heavy = estimate_wandering(subtract_steps(series, suspected), prior)
-    heavy = heavy._replace(value=series.value)
+    quiet, every = found._replace(wander=min(found.wander, prior.wander)), max(-(-len(series.value) // MOST_CARS), 1)
+    suspected = _list_steps(rough, quiet, SUSPECTED, every)
+    for _ in range(ROUNDS):
+        found, heavy = estimate_wandering(subtract_steps(series, suspected), prior)
+        heavy, before = heavy._replace(value=series.value), suspected
+        suspected = _list_steps(heavy, found, SUSPECTED, every)
+        if all([a.since for a in of] == [b.since for b in was] for of, was in zip(suspected, before, strict=True)):
+            break
     return found, heavy, _list_steps(heavy, found, REPORTED)
 
 

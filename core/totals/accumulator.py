@@ -24,7 +24,7 @@ SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 """Width of a bin of the speed histogram. [m/s]"""
 
 AMOUNTS: Final = (
-    "duration",  # [s]
+    *("duration", "standing"),  # time of all samples, and of those at which the car stood [s]
     "distance",  # [m]
     *("gained", "lost"),  # sums of climbs and of descents [m]
     *("gained_causal", "lost_causal"),  # the same from fixes up to each sample only [m]

@@ -71,6 +71,7 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
     row = dict(zip(AMOUNTS, table, strict=False))
     row["samples"][:] = 1.0
     row["duration"][:], row["distance"][:], row["stops"][:] = dt, clean.distance, clean.stop
+    np.multiply(clean.stopped, dt, out=row["standing"])
     for name in WITNESSES:
         row[name][:] = getattr(clean, name)
     row["energy"][:], row["metered"][:], row["energy_variance"][:] = clean.energy, clean.metered, clean.energy_variance

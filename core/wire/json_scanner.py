@@ -12,6 +12,7 @@ most 22, so that their quotient is rounded once, as the number itself (Clinger 1
 
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from socast.core.batch import NO_RIDE, Batch, Floats, Ints, grown
 from socast.core.columns import TELEMETRY
 from socast.core.compiled_cache import watch_sources
+from socast.core.files import UNREADABLE
 from socast.core.wire import name_lookup
 from socast.core.wire.message_block import Bytes, MessageBlock
 from socast.core.wire.messages import LONGEST_TEXT, Telemetry
@@ -108,6 +110,36 @@ class JsonScanner:
         return ScannedSamples(table, is_scanned, columns.text, rides, first)
 
 
+class _Stamp(msgspec.Struct, gc=False):
+    """Hold the only field that `read_time` looks for."""
+
+    time_s: float
+
+
+_stamp = msgspec.json.Decoder(_Stamp | list[_Stamp]).decode
+
+
+def read_time(payload: bytes) -> float:
+    """Return the `time_s` of a message of any kind, the first one of a list; NaN if it has none. [s]"""
+    try:
+        stamp = _stamp(payload)
+        time_s: float = (stamp[0] if isinstance(stamp, list) else stamp).time_s
+    except (*UNREADABLE, IndexError):
+        return np.nan
+    return time_s
+
+
+def read_each_time(messages: MessageBlock) -> Floats:
+    """Return the `time_s` of n messages as `read_time` does, (n,). [s]"""
+    columns = messages.columns
+    times = np.full(len(messages), np.nan)
+    stops = np.where(columns.sizes <= LONGEST, columns.starts + columns.sizes, 0)
+    _scan_times(columns.text, columns.words, columns.starts, stops, times)
+    unknown = np.flatnonzero(np.isnan(times)).tolist()
+    times[unknown] = [read_time(messages[at].payload) for at in unknown]
+    return times
+
+
 def _spell_fields() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Return the names of the fields, with the quote after them, as words of eight bytes, and masks of these words."""
     texts = [name.encode() + b'"' for name in _FIELDS]
@@ -125,7 +157,8 @@ _PLACES: Final = np.array([POSITION[name] for name in _FIELDS])
 _REQUIRED: Final = (1 << _FIELDS.index("vehicle_id")) | (1 << _FIELDS.index("time_s"))
 _QUOTE, _COMMA, _MINUS, _POINT, _ZERO, _NINE, _COLON = (ord(each) for each in '",-.09:')
 _OPEN, _CLOSE, _BACKSLASH, _BLANK, _TAB, _FEED, _RETURN = (ord(each) for each in "{}\\ \t\n\r")
-_N: Final = ord("n")
+_N, _T, _F = (ord(each) for each in "ntf")
+_TIME: Final = np.frombuffer(b'"time_s"', "<u8")[0]
 _NULL, _TRUE, _FALSE = (np.frombuffer(word, np.uint8) for word in (b"null", b"true", b"false"))
 _MOST_DIGITS: Final = 18
 _EXACT: Final = 2**53
@@ -258,6 +291,43 @@ def _scan_sample(
         at = _skip(text, end)
     is_whole = text[at] == _CLOSE and at < stop <= _skip(text, at + 1)  # what follows the payload may be blank
     return is_whole and seen & _REQUIRED == _REQUIRED
+
+
+@njit(error_model="numpy")
+def _scan_time(text: Any, words: Any, at: int, stop: int) -> float:
+    """Return the only `time_s` of an object of numbers, plain strings, truth values and nulls; NaN for any other."""
+    time, value, begin, end, is_time = np.nan, 0.0, _OPEN, 0, False
+    at = _skip(text, at)
+    while text[at] == begin:
+        at = _skip(text, at + 1)
+        is_time, begin, value = words[at] == _TIME, _COMMA, np.nan
+        end = _scan_text(text, at)
+        at = _skip(text, max(at, end))
+        if end < 0 or text[at] != _COLON:
+            return np.nan
+        at = _skip(text, at + 1)
+        if text[at] == _QUOTE:
+            end = _scan_text(text, at)
+        elif text[at] == _N:
+            end = at + 4 if _is_word(text, at, _NULL) else -1
+        elif text[at] == _T or text[at] == _F:
+            end = _scan_flag(text, at)[0]
+        else:
+            end, value = _scan_number(text, at, False)
+        if end < 0 or (is_time and (np.isnan(value) or not np.isnan(time))):
+            return np.nan
+        if is_time:
+            time = value
+        at = _skip(text, end)
+    return time if text[at] == _CLOSE and at < stop <= _skip(text, at + 1) else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _scan_times(text: Any, words: Any, starts: Any, stops: Any, times: Any) -> None:
+    """Scan the times of messages; a message without an end is none."""
+    for i in range(len(starts)):
+        if stops[i] > starts[i]:
+            times[i] = _scan_time(text, words, starts[i], stops[i])
 
 
 @njit(error_model="numpy", inline="always")

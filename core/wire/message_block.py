@@ -95,6 +95,8 @@ class MessageBlock(Sequence[Message]):
         blocks = [cls.of(part) for part in parts if len(part)]
         if len(blocks) <= 1:
             return blocks[0] if blocks else cls.of([])
+        if not any(block.has_columns for block in blocks):
+            return cls(None, [message for block in blocks for message in block.objects or ()])
         return _copy_blocks(blocks)
 
     def compact(self) -> "MessageBlock":
@@ -117,7 +119,25 @@ class MessageBlock(Sequence[Message]):
     @property
     def size(self) -> int:
         """Return the size of all payloads. [B]"""
-        return int(self.columns.sizes.sum())
+        if self._columns is None:
+            return sum(len(message[1]) for message in self.objects or ())
+        return int(self._columns.sizes.sum())
+
+    @property
+    def has_columns(self) -> bool:
+        """Return whether columns have been made."""
+        return self._columns is not None
+
+    def is_sparse(self, size: int) -> bool:
+        """Return whether payloads of this size [B] take a small part of their buffer, which other messages fill."""
+        return self._columns is not None and len(self._columns.text) > 16 * (size + PADDING)
+
+    def list_keys(self) -> set[str]:
+        """Return the different keys of the messages."""
+        if self._columns is None:
+            return {message[0] for message in self.objects or ()}
+        keys, key = self._columns[:2]
+        return {keys[number] for number in set(key.tolist())}
 
     def sort(self) -> "MessageBlock":
         """Return the messages in order of receipt; those with equal times keep their order."""
@@ -250,7 +270,7 @@ def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
     text = np.empty(int(sizes.sum()) + PADDING, np.uint8)
     words, at = get_words(text), 0
     for part in parts:
-        _copy_payloads(part.words, part.starts, part.sizes, starts[at : at + len(part.sizes)], words)
+        copy_spans(part.words, part.starts, part.sizes, starts[at : at + len(part.sizes)], words)
         at += len(part.sizes)
     text.flags.writeable = False
     keys, key = parts[0].keys, [part.key for part in parts]
@@ -265,8 +285,8 @@ def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
 
 
 @njit(cache=True)
-def _copy_payloads(words: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
-    """Copy payloads to ascending places of another buffer; each may write a few bytes to the place of the next one."""
+def copy_spans(words: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
+    """Copy spans of a buffer to ascending places of another one; each may write up to 7 bytes after its own."""
     for i in range(len(starts)):
         start, place = starts[i], places[i]
         for k in range(0, sizes[i], 8):

@@ -1,7 +1,12 @@
-"""A cached compiled function is compiled anew when any source file that it depends on changes."""
+"""A compiled function is compiled anew when a source that it depends on changes, and kept where one may write."""
 
 import importlib
+import json
+import os
 import pkgutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +15,28 @@ from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 
 import socast.core
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import _may_write, watch_sources
+
+READ_ONLY = """
+import os, sys, tempfile
+os.access = lambda *_: False
+tempfile.tempdir = sys.argv.pop(1)
+"""
+RUN = """
+import json
+from socast.core.wire.message_block import Message, MessageBlock, copy_spans
+MessageBlock.of([Message("k", b"{}", 0)]).compact()
+print(json.dumps([os.environ["NUMBA_CACHE_DIR"], list(copy_spans.stats.cache_hits.values())]))
+"""
+NOWHERE = """
+import tempfile
+def refuse(*_, **__):
+    raise OSError(30, "Read-only file system")
+os.mkdir = tempfile.TemporaryFile = refuse
+sys.argv = ["socast", "tables", "x"]
+from socast.__main__ import main
+main()
+"""
 
 
 def list_cached_functions():
@@ -54,3 +80,62 @@ def test_stamp_changes_with_source_of_watched_module(tmp_path, monkeypatch):
 
 def _scale(values: np.ndarray) -> np.ndarray:
     return 2.0 * values
+
+
+def run_python(code, temporary):
+    command = [sys.executable, "-c", READ_ONLY + code, str(temporary)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_compiled_code_is_copied_to_one_folder_of_the_user_where_no_other_can_be_written(tmp_path):
+    for _ in range(2):
+        folder, hits = json.loads(run_python(RUN, tmp_path).stdout)
+        assert hits == [1]
+        assert [Path(folder)] == list(tmp_path.iterdir())
+        assert Path(folder).stat().st_mode & 0o077 == 0
+        assert not list(Path(folder).rglob("*.part"))
+
+
+@pytest.mark.parametrize("kind", ["open to others", "a link"])
+def test_folder_that_another_may_have_made_is_not_used(tmp_path, kind):
+    name = tmp_path / f"socast-compiled-{os.getuid()}"
+    if kind == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        name.symlink_to(tmp_path / "elsewhere")
+    else:
+        name.mkdir()
+        name.chmod(0o777)
+    folder, hits = json.loads(run_python(RUN, tmp_path).stdout)
+    assert hits == [1]
+    assert Path(folder) != name
+    assert not list(name.iterdir())
+
+
+def test_missing_temporary_folder_is_one_line(tmp_path):
+    done = run_python(NOWHERE, tmp_path)
+    reason = "no folder for compiled code can be written"
+    assert done.stderr == f"socast: {reason}: set NUMBA_CACHE_DIR or TMPDIR to one that can\n"
+    assert done.returncode == 2
+
+
+def test_places_that_cannot_be_searched_or_do_not_exist_are_not_written(tmp_path, monkeypatch):
+    assert _may_write(str(tmp_path / "a" / "b"))
+    (tmp_path / "file").touch()
+    assert not _may_write(str(tmp_path / "file" / "b"))
+    monkeypatch.chdir(tmp_path)
+    assert _may_write("here")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may become another user")
+def test_other_user_without_home_writes_nowhere(tmp_path):
+    (tmp_path / "closed").mkdir(mode=0o700)
+    code = f"""
+import os
+from socast.core.compiled_cache import _list_places, _may_write
+del os.environ["HOME"]
+os.setgid(12345)
+os.setuid(12345)
+print(len(list(_list_places())), _may_write({str(tmp_path / "closed" / "b")!r}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[1:] == ["False"], done.stderr

@@ -1,5 +1,6 @@
 """Zenoh sessions listen only at the configured endpoints and refuse invalid settings in one line."""
 
+import os
 import re
 import socket
 from pathlib import Path
@@ -116,6 +117,14 @@ def test_failed_connection_is_not_reported_as_failed_listening():
     listen = (f"tcp/127.0.0.1:{find_free_port()}",)
     with pytest.raises(SettingsError, match="is a router running there"):
         Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
+
+
+def test_configuration_may_come_through_a_pipe():
+    end, other = os.pipe()
+    os.write(other, b'{mode: "client"}')
+    os.close(other)
+    assert _read(_make_config(Connection(config=Path(f"/dev/fd/{end}"))), "mode") == "client"
+    os.close(end)
 
 
 def test_command_line_overrides_configuration_file(tmp_path: Path):

@@ -3,6 +3,7 @@
 import random
 import signal
 import subprocess
+import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,19 @@ SERVE = "serve", RECORDINGS / "shift.mcap", "--no-browser", "--read-only", "--po
 REPLAY = "replay", RECORDINGS / "shift.mcap", "--speed", 600
 ASKING = signal.SIGTERM, signal.SIGINT
 LONGEST_S = 30.0
+SWALLOWING = """
+import ctypes, sys, time, types
+
+def main():
+    print("begun", flush=True)
+    ctypes.pythonapi.PyRun_SimpleString(b"import time; time.sleep(60)")
+    time.sleep(60)
+
+sys.modules["socast.tools.cli"] = types.SimpleNamespace(main=main)
+from socast.__main__ import main
+main()
+"""
+"""A command amid compiled code that prints whatever is raised in it, and goes on."""
 
 
 @contextmanager
@@ -82,6 +96,19 @@ def test_signals_while_a_command_opens_end_it_in_silence(tmp_path, command, wait
         time.sleep(wait_s)
         code = storm(process, [*ASKING, signal.SIGHUP] if command != LIVE else ASKING, random.Random(wait_s))
     assert code in {0, 130}, log.read_text()
+
+
+def test_signal_amid_compiled_code_that_prints_exceptions_ends_a_command_in_silence():
+    process = subprocess.Popen([sys.executable, "-c", SWALLOWING], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert process.stdout.readline() == b"begun\n"
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=LONGEST_S) == (b"", b"")
+        assert process.returncode == 130
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_ignored_hangup_stays_ignored():

@@ -8,7 +8,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.figures.published import publish, show_table, write_table
+from socast.tools.bench.figures.published import publish, show_table, write_table, write_verdict
 from socast.tools.bench.filters import measure_daily_update, measure_filters
 from socast.tools.bench.live import measure_live, measure_security
 from socast.tools.bench.measures import (
@@ -56,9 +56,7 @@ def main() -> None:
 
 def list_rows(measures: list[Measure]) -> list[list[str]]:
     """Return the cells of each measure."""
-    return [
-        [each.name, each.over, f"{each.ratio:.2f}", each.goal, "met" if each.met else "missed"] for each in measures
-    ]
+    return [[each.name, each.over, f"{each.ratio:.2f}", each.goal, write_verdict(each.met)] for each in measures]
 
 
 def make_lines(measures: list[Measure]) -> list[str]:

@@ -15,6 +15,7 @@ from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from socast.core.evaluate.soc.reserve_risk import ALARM, PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
+from socast.tools.bench.figures.published import write_goal, write_verdict
 from socast.tools.bench.soc_reference import REFERENCE
 from socast.tools.simulator.settings import COLD_SNAP, FLEETS
 
@@ -296,7 +297,7 @@ def _bias(fleet: str, where: str, rows: pd.DataFrame, most: float | None = None,
     """Return the line of the mean error. [%]"""
     mean, of = (rows["soc_mean_pct"], "") if whose == OURS else (rows[whose], f" of {whose}")
     bias = float((mean - rows["soc_end_pct"]).mean())
-    goal, verdict = ("", "") if most is None else (f"within {most:g}", _verdict(abs(bias) <= most))
+    goal, verdict = ("", "") if most is None else (f"within {most:g}", write_verdict(abs(bias) <= most))
     return Line(fleet, f"{where}: bias{of}", goal, f"{bias:+.1f}", verdict)
 
 
@@ -304,7 +305,7 @@ def _width(fleet: str, where: str, rows: pd.DataFrame, most: float | None = None
     """Return the line of the median width of intervals. [%]"""
     low, high = _find_ends(rows, whose)
     width, of = float((high - low).median()), "" if whose == OURS else f" of {whose}"
-    goal, verdict = ("", "") if most is None else (f"<= {most:g}", _verdict(width <= most))
+    goal, verdict = ("", "") if most is None else (f"<= {most:g}", write_verdict(width <= most))
     return Line(fleet, f"{where}: median width{of}", goal, f"{width:.1f}", verdict)
 
 
@@ -313,7 +314,7 @@ def _check_bounds(fleet: str, judged: Sequence[Judged]) -> Line:
     above, n = (sum(getattr(one.bounds, name) for one in judged) for name in ("above", "n"))
     largest = max(one.bounds.largest for one in judged)
     told = f"{above:,} of {n:,}, at most by {largest:.1f}"
-    return Line(fleet, "upper bound above the present charge", "never", told, _verdict(above == 0))
+    return Line(fleet, "upper bound above the present charge", "never", told, write_verdict(above == 0))
 
 
 def _check_healthy(judged: Sequence[Judged]) -> list[Line]:
@@ -338,7 +339,7 @@ def _check_healthy(judged: Sequence[Judged]) -> list[Line]:
     largest, share = float(change.max(initial=0.0)), float(np.mean(change > MOST_CHANGE))
     told = f"at most {largest:.2f}, {100 * share:.1f} % of figures by more than {MOST_CHANGE:g}"
     what = "healthy cars: change of forecasts through faults of other cars"
-    return [Line("autumn-faults", what, f"<= {MOST_CHANGE:g}", told, _verdict(largest <= MOST_CHANGE))]
+    return [Line("autumn-faults", what, f"<= {MOST_CHANGE:g}", told, write_verdict(largest <= MOST_CHANGE))]
 
 
 def _error(rows: pd.DataFrame, name: str) -> Floats:
@@ -369,15 +370,13 @@ def _held(rows: pd.DataFrame, whose: str = OURS) -> Any:
 
 def _share(fleet: str, what: str, goal: tuple[float, float] | None, holds: Any, rows: pd.DataFrame) -> Line:
     """Return the line of a share with its interval."""
-    words = "" if goal is None else f">= {100 * goal[0]:.0f} %"
-    if goal is not None and goal[1] < 1.0:
-        words = f"{100 * goal[0]:.0f} to {100 * goal[1]:.0f} %"
+    words = "" if goal is None else write_goal(*goal)
     if not len(rows):
         return Line(fleet, what, words, "none", "missed")
     share = compute_clustered_share(holds, rows["cluster"].to_numpy(np.int64))
     told = f"{100 * share['value']:.1f} % ({100 * share['low']:.0f} to {100 * share['high']:.0f}; n {len(rows)})"
     met = goal is None or goal[0] <= share["value"] <= goal[1]
-    return Line(fleet, what, words, told, "" if goal is None else _verdict(met))
+    return Line(fleet, what, words, told, "" if goal is None else write_verdict(met))
 
 
 def _less(fleet: str, what: str, goal: float | None, ours: Floats, theirs: Floats, digits: int = 2) -> Line:
@@ -387,8 +386,4 @@ def _less(fleet: str, what: str, goal: float | None, ours: Floats, theirs: Float
         return Line(fleet, what, words, "none", "" if goal is None else "missed")
     change = float(ours.mean() / theirs.mean()) - 1.0
     told = f"{100 * change:+.0f} % ({ours.mean():.{digits}f} against {theirs.mean():.{digits}f}; n {len(ours)})"
-    return Line(fleet, what, words, told, "" if goal is None else _verdict(change <= -goal))
-
-
-def _verdict(met: bool) -> str:
-    return "met" if met else "missed"
+    return Line(fleet, what, words, told, "" if goal is None else write_verdict(change <= -goal))

@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from socast.core import effects
-from socast.core.condition.energy_split import split_energy
+from socast.core.condition.energy_split import WAITING, split_energy
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.formatting import format_minus
@@ -146,12 +146,14 @@ class TermTruth(Truth):
             self._motor_map * (speed > 0.0) * np.stack((np.full_like(speed, TURNING_LOSS[0]), TURNING_LOSS[1] * speed))
         )
         losses = parts[:, LOSSES] - for_time - for_way
+        on_board = parts[:, ACCESSORIES].sum(axis=1)
         inertia, driven = parts[:, INERTIA] + faster, np.maximum(wheel, 0.0)
         powers = {
             "rolling": parts[:, TYRES].sum(axis=1) + parts[:, PAYLOAD] - faster - higher,
             "aero_drag": parts[:, AIR].sum(axis=1),
             "climbing": parts[:, CLIMBING] + higher,
-            "accessories": parts[:, ACCESSORIES].sum(axis=1) + for_time,
+            "accessories": np.where(speed > 0.0, on_board, 0.0) + for_time,
+            WAITING: np.where(speed > 0.0, 0.0, on_board),
             "turning": for_way,
             "driven": driven,
             "driving_losses": np.where(wheel >= 0.0, losses, 0.0),
@@ -245,6 +247,8 @@ def measure_fleet(seed: int, physics: str) -> list[TermEnergy]:
     also = list(effects.list_tabulated())
     rides, windows = tabulate(list(simulate(simulation, truth)), also=also, two_sided=True)
     model = fit_to_windows(RECIPE, rides, windows)
+    known = {(ride["vehicle_id"], ride["ride_id"]) for ride in truth.rides}  # rides without a name have no truth
+    rides = rides[[each in known for each in zip(rides["vehicle_id"], rides["ride_id"], strict=True)]]
     split = split_energy(rides, model)
     chosen = select_rides(rides, {model.name: model}).rides
     true = sum_terms(truth, set(zip(chosen["vehicle_id"], chosen["ride_id"], strict=True)))
@@ -265,7 +269,8 @@ def sum_terms(truth: Truth, rides: set[tuple[str, str]]) -> dict[str, float]:
             if ride["vehicle_id"] == name and (name, ride["ride_id"]) in rides:
                 for term, energy in ride["terms_kwh"].items():
                     sums[term] += energy
-        out["accessories"] += sums.pop("accessories", 0.0)
+        for term in ("accessories", WAITING):
+            out[term] += sums.pop(term, 0.0)
         out["rolling"] += sums.pop("turning", 0.0)
         driven, losses, braked, lost = (
             sums.pop(key, 0.0) for key in ("driven", "driving_losses", "braked", "braking_losses")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from textwrap import wrap
 from typing import Final, NamedTuple
 
 import plotly.graph_objects as go
@@ -44,8 +45,10 @@ MOST_NAMED: Final = 3
 """Largest number of parts that a sentence names."""
 WIDTHS: Final = (16, 60)
 """Smallest and largest number of characters of the bars in a terminal."""
-LABEL_WIDTH: Final = 30
+LABEL_WIDTH: Final = 38
 """Largest number of characters of the name of a part in a terminal."""
+FIGURE_LABEL_WIDTH: Final = 24
+"""Largest number of characters of a line of such a name in the figure, which leaves room for bars on a telephone."""
 STEP_HEIGHT: Final = 34
 """Height of a bar with its space. [px]"""
 TAKEN, RETURNED = "taken", "returned"
@@ -59,7 +62,8 @@ PRICE_FIELDS: Final = ("cost", "cost_per_100km")
 NOTE: Final = (
     "The parts add up to the measured energy. ±: half of the 95 % interval by the standard errors of the coefficients, "
     "where the model holds them. km: the energy of the part over the present mean consumption. Negative: given back, "
-    "to the motion or to the battery; of what is unexplained, that the model predicts too much."
+    "to the motion or to the battery; of what is unexplained, that the model predicts too much. waiting: what acts "
+    "over time, such as heating, while the car stands within rides."
 )
 
 
@@ -195,7 +199,7 @@ def _tabulate_groups(result: EnergySplit) -> ReportTable:
         [
             ("rides", lambda group: f"{group.rides:,}"),
             ("km", lambda group: format_amount(group.distance_km, 0)),
-            (MEASURED, lambda group: format_amount(group.measured.per_100km_kwh.value, 2)),
+            ("total", lambda group: format_amount(group.measured.per_100km_kwh.value, 2)),
             *((what, partial(show_part, what)) for what in parts),
         ],
         totals=("all",),
@@ -225,9 +229,11 @@ def draw_picture(steps: Sequence[Step], columns: int) -> list[Text]:
     """Return a waterfall as lines of text."""
     ends = [end for step in steps for end in (step.start, step.start + step.change)]
     low, high = min(0.0, *ends), max(*ends, 1e-9)
-    names = [step.what if len(step.what) <= LABEL_WIDTH else f"{step.what[: LABEL_WIDTH - 1]}…" for step in steps]
     numbers = [format_minus(f"{step.change:.2f}") for step in steps]
-    room, wide = max(map(len, names)), max(map(len, numbers))
+    wide = max(map(len, numbers))
+    most = max(min(LABEL_WIDTH, columns - wide - WIDTHS[0] - 6), 8)
+    names = [step.what if len(step.what) <= most else f"{step.what[: most - 1]}…" for step in steps]
+    room = max(map(len, names))
     width = min(max(columns - room - wide - 6, WIDTHS[0]), WIDTHS[1])
     lines = [Text(f"{TITLE} [kWh/100 km]", style="bold")]
     for step, name, number in zip(steps, names, numbers, strict=True):
@@ -253,7 +259,7 @@ def _illustrate(result: EnergySplit) -> list[Illustration]:
 def draw_waterfall(group: GroupEnergy) -> go.Figure:
     """Return a figure of the parts of the consumption, one below the other. [kWh/100 km]"""
     steps = list_steps(group)
-    labels = [escape_label(step.what) for step in steps]
+    labels = ["<br>".join(escape_label(line) for line in wrap(step.what, FIGURE_LABEL_WIDTH)) for step in steps]
     traces = []
     for kind, place in LOOKS.items():
         chosen = [(label, step) for label, step in zip(labels, steps, strict=True) if step.kind == kind]

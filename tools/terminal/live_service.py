@@ -210,7 +210,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     source = ZenohSource(node, stop, options.limits.queue_bytes)
     own_rows = options.shard if shares_batches(node) else None
     received = ShardSource(source, own_rows, options.limits) if own_rows else source
-    _log_start(node, pipeline, models, monitor)
+    _log_start(node, pipeline, models, monitor, options.recording.folder)
     sink.put(first)
     parts = ServiceParts(
         monitor,
@@ -342,9 +342,11 @@ def _add_watches(
         parts.watches.append(nightly)
 
 
-def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], monitor: ServiceMonitor) -> None:
+def _log_start(
+    node: Node, pipeline: Pipeline, models: Sequence[LinearModel], monitor: ServiceMonitor, recorded: Path | None
+) -> None:
     """Log where the service listens and what it runs."""
-    endpoints = ",".join(node.endpoints or node.connection.connect)
+    endpoints = ",".join(node.endpoints or node.routers)
     beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
     if shard := node.connection.shard:
         beside |= {"shard": str(shard), "by": shard.by}
@@ -353,5 +355,7 @@ def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], mo
     if monitor.server:
         beside |= {"metrics": str(monitor.server.address)}
     _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
-    if advice := advise_fit(models[0], "kept", "kept/"):
-        _log.info("model not fitted", extra=event_fields(remedy=advice))
+    folder = recorded or Path("kept")
+    if advice := advise_fit(models[0], str(folder), f"{folder}/"):
+        remedy = advice if recorded else f"{advice}, after some rides with --record {folder}"
+        _log.info("model not fitted", extra=event_fields(remedy=remedy))

@@ -1,10 +1,35 @@
 """Signals that end a command: they set an event, which whatever runs looks at."""
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from threading import Event, Lock
+from threading import Event, Lock, current_thread, main_thread
 from types import FrameType
+from typing import Any, Final
+
+ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a command."""
+
+
+def set_handler(handler: Any, numbers: Iterable[int] = ENDING) -> dict[int, Any]:
+    """Set the handler of signals, but not of a SIGHUP that is ignored, as under `nohup`; return the handlers of before.
+
+    In any thread but the main one, which alone may have handlers, this does nothing.
+    """
+    if current_thread() is not main_thread():
+        return {}
+    before = {number: signal.getsignal(number) for number in numbers}
+    if before.get(signal.SIGHUP) is signal.SIG_IGN:
+        del before[signal.SIGHUP]
+    for number in before:
+        signal.signal(number, handler)
+    return before
+
+
+def restore_handlers(before: dict[int, Any]) -> None:
+    """Set the handlers that `set_handler` returned."""
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 class _Stop(Event):
@@ -46,21 +71,17 @@ def stop_on_signals() -> Iterator[Event]:
         nonlocal is_interrupted
         if stop.is_set() and number == signal.SIGINT and not is_interrupted:
             is_interrupted = True
-            earlier = before[signal.SIGINT]
+            earlier = before[number]
             (earlier if callable(earlier) else signal.default_int_handler)(number, frame)
         stop.set()
 
-    ending = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` leaves it
-        ending.append(signal.SIGHUP)
-    before = {number: signal.signal(number, handle) for number in ending}
+    before = set_handler(handle)
     try:
         yield stop
     finally:
         is_interrupted = True
         if not stop.is_set():
-            for number, handler in before.items():
-                signal.signal(number, handler)
+            restore_handlers(before)
 
 
 def act_on_hangup(act: Callable[[], None]) -> None:

@@ -1,19 +1,18 @@
 """The server of the workbench: it listens, prints the address with its token, and stops cleanly on Ctrl-C."""
 
 import logging
-import signal
 import socket
 import sys
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from os import environ
-from threading import current_thread, main_thread
 from typing import Any, Final
 
 import uvicorn
 
 from socast.core.errors import SettingsError
+from socast.tools.terminal.stop_signals import restore_handlers, set_handler
 from socast.tools.workbench.access import ENTRY, AccessControl, Sessions, is_any, is_loopback
 from socast.tools.workbench.connections import MOST_CONNECTIONS, BoundedConnection
 from socast.tools.workbench.json_routes import Workbench
@@ -110,17 +109,12 @@ class _Server(uvicorn.Server):
     @contextmanager
     def obey_signals(self) -> Iterator[None]:
         """Stop on SIGINT, SIGTERM and SIGHUP, where this is the main thread."""
-        numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP] if current_thread() is main_thread() else []
-        handlers = {number: signal.getsignal(number) for number in numbers}
-        before = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
-        for number in before:
-            signal.signal(number, self._stop)
+        before = set_handler(self._stop)
         try:
             yield
         finally:
             if not self.should_exit:  # else the process ends: a signal that comes late must not change its exit code
-                for number, handler in before.items():
-                    signal.signal(number, handler)
+                restore_handlers(before)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -14,6 +14,7 @@ from socast.core.condition.energy_split import (
     LIKE_SIBLINGS,
     LIMIT,
     UNEXPLAINED,
+    WAITING,
     EnergySplit,
     split_energy,
 )
@@ -57,11 +58,14 @@ def with_drivers(table):
 @given(st.integers(0, 2**32 - 1), st.sampled_from([FLEET, *sorted(GROUP_COLUMNS), "car,month", "speed,driver,model"]))
 def test_parts_add_up_to_measured_energy_in_every_group(seed, by):
     table = with_drivers(planted(80, seed))
+    table["standing_s"] = np.random.default_rng(seed).uniform(0.0, 1.0, len(table)) * table["duration_s"]
     result = split_energy(table, with_everything(), by=by)
+    assert energies(result.fleet)[WAITING] > 0.0
     for group in (result.fleet, *result.groups):
         assert sum(energies(group).values()) == pytest.approx(group.measured.energy_kwh.value, rel=1e-9)
-        assert sum(share.share for share in group.shares) == pytest.approx(1.0)
-        assert sum(share.range_km for share in group.shares) == pytest.approx(group.distance_km)
+        if group.measured.energy_kwh.value > 0.0:
+            assert sum(share.share for share in group.shares) == pytest.approx(1.0)
+            assert sum(share.range_km for share in group.shares) == pytest.approx(group.distance_km)
     assert result.fleet.measured.energy_kwh.value == pytest.approx(table["energy_kwh"].sum())
     if result.groups:
         for name, energy in energies(result.fleet).items():
@@ -126,6 +130,35 @@ def test_model_without_standard_errors_has_no_intervals_and_says_so():
     result = split_energy(planted(60), EXTENDED_PHYSICAL)
     assert {share.energy_kwh.ci95 for share in result.fleet.shares} == {None}
     assert any("no standard errors" in note for note in result.notes)
+
+
+def test_terms_over_time_are_split_by_the_time_in_which_the_car_stood():
+    covariance = tuple(map(tuple, np.diag([0.1, 0.1, 0.2, 0.1, 0.05]).tolist()))
+    table, model = planted(100), fitted(1.0, 1.0, 1.0, 1.0, 1.0, covariance=covariance, clusters=10)
+    whole = split_energy(table, model)
+    parts = {share.name: share for share in whole.fleet.shares}
+    split = split_energy(table.assign(standing_s=0.3 * table["duration_s"]), model)
+    of_split = {share.name: share for share in split.fleet.shares}
+    for name, share in ((WAITING, 0.3), ("accessories", 0.7)):
+        for figure in ("value", "ci95"):
+            expected = share * getattr(parts["accessories"].energy_kwh, figure)
+            assert getattr(of_split[name].energy_kwh, figure) == pytest.approx(expected)
+    assert of_split["accessories"].what == "climate and accessories while driving"
+    assert {name: part for name, part in of_split.items() if name not in {WAITING, "accessories"}} == {
+        name: part for name, part in parts.items() if name != "accessories"
+    }
+    assert [saving.energy_kwh.value for saving in split.savings] == pytest.approx(
+        [saving.energy_kwh.value for saving in whole.savings]
+    )
+
+
+def test_tables_without_standing_time_are_split_without_waiting_and_the_result_says_so():
+    result = split_energy(planted(60), EXTENDED_PHYSICAL)
+    assert WAITING not in energies(result.fleet)
+    assert any("no standing_s, so waiting is no part" in note for note in result.notes)
+    table = planted(60).assign(standing_s=np.nan)
+    assert WAITING not in energies(split_energy(table, EXTENDED_PHYSICAL).fleet)
+    assert WAITING not in energies(split_energy(table.assign(standing_s=60.0), BASIC_PHYSICAL).fleet)
 
 
 def test_negative_terms_are_returned_energy():

@@ -8,7 +8,7 @@ import pytest
 
 from socast.core.batch import Lanes
 from socast.core.wire.decoder import Decoder
-from socast.core.wire.json_scanner import JsonScanner
+from socast.core.wire.json_scanner import JsonScanner, read_each_time
 from socast.core.wire.message_block import PADDING, MessageBlock, MessageColumns
 from socast.core.wire.messages import Message, Telemetry, encode
 from socast.core.wire.name_lookup import NameLookup
@@ -151,6 +151,24 @@ def test_ride_of_the_sample_before_needs_no_name_until_codes_change():
     decoder.rides.keep(set())
     batch, _ = decoder.decode([Message("fleet/a/telemetry", encode(Telemetry("a", 2.0, ride_id="y")), 0)])
     assert decoder.rides.names(batch.ride.tolist()) == ["y"]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_times_are_those_of_msgspec_to_the_bit(seed):
+    rng = Random(seed)
+    for _ in range(100):
+        payloads = [make_payload(rng) for _ in range(rng.randrange(1, 9))]
+        block = MessageBlock.of([Message("k", payload, 0) for payload in payloads])
+        with pytest.MonkeyPatch.context() as patch:
+            times = read_each_time(block)
+            patch.setattr("socast.core.wire.json_scanner._scan_times", lambda *_: None)
+            assert times.tobytes() == read_each_time(block).tobytes()
+
+
+def test_times_of_usual_samples_are_scanned(monkeypatch):
+    monkeypatch.setattr("socast.core.wire.json_scanner.read_time", lambda _: pytest.fail("was not scanned"))
+    block = MessageBlock.of([Message("k", encode(Telemetry("a", time_s, soc_pct=50.0)), 0) for time_s in (1.5, 3.25)])
+    assert read_each_time(block).tolist() == [1.5, 3.25]
 
 
 @pytest.mark.parametrize("rest", [b" ", b"\n", b"0", b'"', b"}", b'"seq":7}', b"l}", b"y" * 300])

@@ -23,10 +23,15 @@ def test_true_energies_of_terms_add_up_to_the_energy_of_the_rides():
 def test_wheel_energy_counts_at_what_driving_costs_and_braking_has_the_rest():
     truth = TermTruth()
     truth.cars["a"] = {}
-    powers = {"rolling": 2.0, "accessories": 1.0, "driven": 4.0, "driving_losses": 1.0}
+    powers = {"rolling": 2.0, "accessories": 1.0, "waiting": 0.5, "driven": 4.0, "driving_losses": 1.0}
     energies = powers | {"braked": 2.0, "braking_losses": 0.5}
     truth.rides = [{"vehicle_id": "a", "ride_id": name, "terms_kwh": energies} for name in ("1", "2")]
-    assert sum_terms(truth, {("a", "1")}) == {"accessories": 1.0, "rolling": 2.5, "braking": 1.0}
+    assert sum_terms(truth, {("a", "1")}) == {
+        "accessories": 1.0,
+        "waiting": 0.5,
+        "rolling": 2.5,
+        "braking": 1.0,
+    }
 
 
 def test_turning_motors_count_as_rolling():

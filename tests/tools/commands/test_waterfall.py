@@ -36,7 +36,7 @@ def result(written):
 
 
 def test_json_holds_parts_that_add_up_to_the_measured_energy(result, shift_tables):
-    assert result.pop("format") == {"report": "waterfall", "version": 1}
+    assert result.pop("format") == {"report": "waterfall", "version": 2}
     assert msgspec.convert(result, EnergySplit).price == 0.12
     rides = pd.read_parquet(shift_tables / "rides.parquet")
     fit = rides[rides["fit_for_training"]]
@@ -92,7 +92,7 @@ def test_each_step_begins_where_the_one_before_it_ends(shift_tables):
         for one, other in pairwise(steps):
             assert other.start == pytest.approx(one.start + one.change)
         assert steps[-1].start + steps[-1].change == pytest.approx(last.change)
-    assert any(step.what == "3 smaller terms" for step in list_steps(group, 3))
+    assert any(step.what == "4 smaller terms" for step in list_steps(group, 3))
     assert max(len(line.plain) for line in draw_picture(list_steps(group), 60)) <= 60
 
 

@@ -249,6 +249,22 @@ def write_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str
     return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
 
 
+def write_goal(low: float, high: float) -> str:
+    """Return the words of a goal for a share.
+
+    >>> write_goal(0.8, 1.0), write_goal(0.93, 0.97), write_goal(0.0, 0.006)
+    ('>= 80 %', '93 to 97 %', '<= 0.6 %')
+    """
+    if high >= 1.0:
+        return f">= {100.0 * low:g} %"
+    return f"{100.0 * low:g} to {100.0 * high:g} %" if low > 0.0 else f"<= {100.0 * high:g} %"
+
+
+def write_verdict(met: bool | None) -> str:
+    """Return whether a goal is met, in a word; none without a goal."""
+    return {True: "met", False: "missed", None: ""}[met]
+
+
 def describe(one: Published) -> list[str]:
     """Return the lines of a block: where its figures come from, and the figures."""
     origin = f"Measured on {one.date} at commit {one.commit} ({one.machine}): `{one.command}`"

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.stats.clustered import compute_wilson_interval
-from socast.tools.bench.figures.published import write_table
+from socast.tools.bench.figures.published import write_table, write_verdict
 from socast.tools.bench.hidden.cases import ABSORBED
 from socast.tools.bench.hidden.evaluation import LIKELY, Record
 from socast.tools.simulator.hidden_shapes import strip_shape
@@ -198,7 +198,7 @@ class Figure(NamedTuple):
     @property
     def verdict(self) -> str:
         """Whether the goal is met, as text; empty without a goal."""
-        return ("met" if self.met else "missed") if self.goal else ""
+        return write_verdict(self.met if self.goal else None)
 
 
 def compute_figures(records: Sequence[Record]) -> list[Figure]:
