@@ -445,13 +445,13 @@ def _save_by_slowing(model: LinearModel, fleet: GroupEnergy, scale: _Scale) -> E
         lacking = " and none ".join(["of air drag"] * (not drag) + ["that acts over time"] * (not time))
         return f"{DRIVEN_SLOWER}: unknown, because the model has no term {lacking}"
     saved = (1.0 - SLOWER**2) * sum(energies[name] for name in drag)
-    added = (1.0 / SLOWER - 1.0) * (sum(energies[name] for name in time) + energies.get(WAITING, 0.0))
+    added = (1.0 / SLOWER - 1.0) * sum(energies[name] for name in time)
+    longer = "the whole ride takes longer, stops included" if WAITING not in energies else "driving takes longer"
     return EnergySaving(
         what=DRIVEN_SLOWER,
         assumption=(
             f"Air drag ({', '.join(drag)}) times 0.81, which is exact in still air, and what acts over time "
-            f"({', '.join(time)}) times 1/0.9, because the whole ride takes longer, stops included. All else "
-            "stays as it is, also speed changes."
+            f"({', '.join(time)}) times 1/0.9, because {longer}. All else stays as it is, also speed changes."
         ),
         **scale.describe_amount(saved - added),
     )
