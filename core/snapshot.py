@@ -47,7 +47,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 30
+SNAPSHOT: Final = 31
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
@@ -142,9 +142,20 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
     return Packed("f8", count=count, limits={"": Number(low, unknown=False)})
 
 
-_REGRESSION: Final = Row(SUMS, SUMS, Many(Row(LANE, _pack(len(TERMS) + 2))), _pack(len(TERMS)), Number(-100.0, 100.0))
+_KNOWN: Final = Packed("f8", limits={"": Number(unknown=False)})
+"""Known numbers as bytes."""
+_REGRESSION: Final = Row(
+    SUMS,
+    SUMS,
+    Many(Row(LANE, _pack(len(TERMS) + 2))),
+    Many(Row(LANE, _KNOWN)),
+    _pack(len(TERMS)),
+    Number(-100.0, 100.0),
+)
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES)
 _CONFORMAL: Final = Row(SUMS, _pack(_CLASSES * len(SCORES), low=0.0), _pack(_CLASSES * len(LEVELS)))
+_OUTCOMES: Final = Packed("i8", count=3, limits={"": COUNT})
+_SHIFT_ERRORS: Final = Row(Number(0, BASES - 1, whole=True), SUMS, _KNOWN, _OUTCOMES, *5 * (SUMS,))
 _STATISTICS: Final = Row(
     Row(
         ByName(_REGRESSION),
@@ -160,6 +171,7 @@ _STATISTICS: Final = Row(
         Row(SUMS, SUMS),
     ),
     Many(_SHIFT),
+    Many(Row(LANE, Maybe(Many(_SHIFT_ERRORS)))),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": COUNT}),

@@ -20,25 +20,34 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Ints
 from socast.core.wire.json_scanner import read_each_time
-from socast.core.wire.message_block import PADDING, MessageBlock, copy_spans, get_words
+from socast.core.wire.message_block import PADDING, Bytes, MessageBlock, copy_spans, get_words
 from socast.stream.mcap_format import MESSAGE_HEAD, RECORD
 
+ZSTD: Final = b"zstd"
+"""Compression of chunks."""
 _HEAD: Final = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
         ("channel", "<u2"),
         ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
+        *((name, "<u8") for name in ("log_time", "publish_time")),
         ("first_byte", "u1"),
     ]
 )
-"""Start of a message record as in `MESSAGE_HEAD`, and the byte after it, so that whole words can be copied."""
+"""Start of a message record as in `MESSAGE_HEAD`, and the byte after it."""
+_INDEX_HEAD: Final = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("size", "<u4"), ("first_byte", "u1")]
+)
+"""Start of a message index, and the byte after it; sizes. [B]"""
+_PLACE: Final = np.dtype([("channel", "<u2"), ("place", "<u8")])
+"""Entry of a chunk index: where the message index of a channel begins. [B]"""
+_CHUNK_INDEX: Final = struct.Struct("<QQQQI")
+"""Body of a chunk index up to its entries: span [ns], place and size of the chunk [B], size of the entries [B]."""
+_CHUNK_INDEX_END: Final = struct.Struct(f"<QI{len(ZSTD)}sQQ")
+"""The rest: size of the message indexes [B], compression, size of the chunk's records, compressed and not [B]."""
 _ENTRY: Final = np.dtype([("channel", "i8"), ("log_time", "u8"), ("offset", "u8")])
 """Row of the index of messages: its time of receipt [ns] and its place in the records [B]."""
-_INDEX_HEAD: Final = struct.Struct("<BQHI")
-"""Start of a message index: opcode, length [B], channel, size of the entries [B]."""
 Compressor = Callable[[bytes], bytes]
 _END_US: Final = float(2**64 // 1000 + 1)
 """First time that nanoseconds in 64 bits cannot hold. [us]"""
@@ -51,10 +60,10 @@ class PackedChunk(NamedTuple):
     ----------
     record : bytes
         The chunk record.
-    indexes : list of bytes
-        Message index records, one of each channel in `counts`.
-    counts : dict of int to int
-        Channel -> number of its messages.
+    indexes : memoryview
+        Message index records, one of each channel.
+    channels, counts, places : (channels,) int
+        Numbers of the channels, of their messages, and the place of the index of each in `indexes`. [B]
     span : tuple of int
         First and last time of receipt. [ns]
     size, packed_size : int
@@ -62,11 +71,22 @@ class PackedChunk(NamedTuple):
     """
 
     record: bytes
-    indexes: list[bytes]
-    counts: dict[int, int]
+    indexes: memoryview
+    channels: Ints
+    counts: Ints
+    places: Ints
     span: tuple[int, int]
     size: int
     packed_size: int
+
+    def describe(self, offset: int) -> bytes:
+        """Return the chunk index record of a chunk that begins at a place of the file, which its indexes follow."""
+        places = np.empty(len(self.channels), _PLACE)
+        places["channel"], places["place"] = self.channels, self.places + offset + len(self.record)
+        begin = _CHUNK_INDEX.pack(*self.span, offset, len(self.record), places.nbytes)
+        end = _CHUNK_INDEX_END.pack(len(self.indexes), len(ZSTD), ZSTD, self.packed_size, self.size)
+        body = begin + places.tobytes() + end
+        return RECORD.pack(Opcode.CHUNK_INDEX, len(body)) + body
 
 
 class ChunkBuilder:
@@ -123,43 +143,54 @@ class ChunkBuilder:
 def _make_records(block: MessageBlock, channels: Ints) -> tuple[memoryview, NDArray[np.void]]:
     """Return the records of messages on their channels, and the rows of their index."""
     columns = block.columns
-    sizes, lengths = columns.sizes, columns.sizes + MESSAGE_HEAD.size
-    places = np.cumsum(lengths) - lengths
-    heads = np.zeros(len(sizes), _HEAD)
+    heads = np.zeros(len(columns.sizes), _HEAD)
     heads["opcode"] = Opcode.MESSAGE
-    heads["length"] = lengths - RECORD.size
+    heads["length"] = columns.sizes + MESSAGE_HEAD.size - RECORD.size
     heads["channel"] = channels
     heads["log_time"] = block.receipt_ns
     heads["publish_time"] = _find_publish_times(block)
-    heads["first_byte"] = columns.text[columns.starts]
-    heads.flags.writeable = False  # as the kernel is compiled for
-    size = int(lengths.sum())
-    out = np.empty(size + PADDING, np.uint8)
-    copy_spans(columns.words, columns.starts, sizes, places + MESSAGE_HEAD.size, get_words(out))
-    head_sizes = np.full_like(sizes, _HEAD.itemsize)
-    head_starts = np.cumsum(head_sizes) - _HEAD.itemsize
-    copy_spans(get_words(heads.view(np.uint8)), head_starts, head_sizes, places, get_words(out))
-    entries = np.empty(len(sizes), _ENTRY)
+    records, places = _interleave(heads, columns.text, columns.starts, columns.sizes)
+    entries = np.empty(len(places), _ENTRY)
     entries["channel"], entries["log_time"], entries["offset"] = channels, heads["log_time"], places
-    return out.data[:size], entries
+    return records, entries
 
 
 def _pack(data: bytes, entries: NDArray[np.void], compress: Compressor) -> PackedChunk:
     """Return the chunk of records and the rows of their index."""
     packed, times = compress(data), entries["log_time"]
     first, last = int(times.min()), int(times.max())
-    record = encode_record(Chunk("zstd", packed, last, first, zlib.crc32(data), len(data)))
-    ordered = entries[np.argsort(entries["channel"], kind="stable")]
-    pairs = np.stack([ordered["log_time"], ordered["offset"]], axis=1)
-    used, begins = np.unique(ordered["channel"], return_index=True)
-    ends = [*begins[1:].tolist(), len(pairs)]
-    indexes, counts = [], {}
-    for channel, begin, end in zip(used.tolist(), begins.tolist(), ends, strict=True):
-        entry = pairs[begin:end].tobytes()
-        length = _INDEX_HEAD.size - RECORD.size + len(entry)
-        indexes.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, len(entry)) + entry)
-        counts[channel] = end - begin
-    return PackedChunk(record, indexes, counts, (first, last), len(data), len(packed))
+    record = encode_record(Chunk(ZSTD.decode(), packed, last, first, zlib.crc32(data), len(data)))
+    entries = entries[np.argsort(entries["channel"], kind="stable")]
+    text = np.zeros((len(entries) + PADDING, 2), "<u8")
+    text[: len(entries), 0], text[: len(entries), 1] = entries["log_time"], entries["offset"]
+    channels, begins, counts = np.unique(entries["channel"], return_index=True, return_counts=True)
+    size = text[0].nbytes
+    heads = np.zeros(len(channels), _INDEX_HEAD)
+    heads["opcode"] = Opcode.MESSAGE_INDEX
+    heads["length"] = size * counts + _INDEX_HEAD.itemsize - 1 - RECORD.size
+    heads["channel"], heads["size"] = channels, size * counts
+    indexes, places = _interleave(heads, text.reshape(-1).view(np.uint8), size * begins, size * counts)
+    return PackedChunk(record, indexes, channels, counts, places, (first, last), len(data), len(packed))
+
+
+def _interleave(heads: NDArray[np.void], text: Bytes, starts: Ints, sizes: Ints) -> tuple[memoryview, Ints]:
+    """Return heads, each with a span of a buffer after it, and their places. [B]
+
+    The last byte of a head becomes the first one of its span, so that both are copied as whole words. The buffer needs
+    `PADDING` bytes after the last span.
+    """
+    heads["first_byte"] = text[starts]
+    for each in (heads, text):
+        each.flags.writeable = False  # as the kernel is compiled for
+    head_sizes = np.full_like(sizes, heads.itemsize)
+    lengths = sizes + heads.itemsize - 1
+    places = np.cumsum(lengths) - lengths
+    size = int(lengths.sum())
+    out = np.empty(size + PADDING, np.uint8)
+    copy_spans(get_words(text), starts, sizes, places + heads.itemsize - 1, get_words(out))
+    head_starts = np.cumsum(head_sizes) - heads.itemsize
+    copy_spans(get_words(heads.view(np.uint8)), head_starts, head_sizes, places, get_words(out))
+    return out.data[:size], places
 
 
 def encode_record(record: Any) -> bytes:

@@ -26,7 +26,6 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -238,17 +237,12 @@ class McapSink(Closeable):
         chunk = self._chunk.pack([self._keys, self._viewer_keys], self._descriptions, self._compress)
         if chunk is None:
             return
-        (first, last), offset = chunk.span, self._file.tell()
-        begin, *ends = np.cumsum([offset + len(chunk.record), *map(len, chunk.indexes)]).tolist()
-        self._write(chunk.record + b"".join(chunk.indexes), flush=True)
+        (first, last), index = chunk.span, chunk.describe(self._file.tell())
+        self._write(chunk.record + bytes(chunk.indexes), flush=True)
         self._span = (min(first, self._span[0]), max(last, self._span[1])) if self._span else (first, last)
-        self._counts.update(chunk.counts)
-        self.kept += sum(chunk.counts.values())
-        places = dict(zip(chunk.counts, [begin, *ends[:-1]], strict=True))
-        index = ChunkIndex(
-            len(chunk.record), offset, "zstd", chunk.packed_size, last, ends[-1] - begin, places, first, chunk.size
-        )
-        self._indexes.append(encode_record(index))  # as bytes it takes a tenth of the memory
+        self._counts.update(dict(zip(chunk.channels.tolist(), chunk.counts.tolist(), strict=True)))
+        self.kept += int(chunk.counts.sum())
+        self._indexes.append(index)
         self._chunk = ChunkBuilder()
 
     def _make_summary(self) -> bytes:

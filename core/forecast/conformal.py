@@ -48,6 +48,8 @@ PRIOR_SHIFTS: Final = 15.0
 """Number of shifts whose weight the prior has."""
 BORROWED_SHIFTS: Final = 50.0
 """Number of shifts whose weight all classes of a basis have together for each of them, prior included."""
+LEAST_UNKNOWN: Final = 0.01
+"""A smaller share of the variance that earlier errors say nothing of is none. [1]"""
 DAY_CORRELATION: Final = 0.3
 """Correlation of the errors of the shifts of a day, which share the weather and the traffic. [1]"""
 DAY_MEMORY: Final = 0.98
@@ -100,9 +102,17 @@ class ConformalIntervals:
             self.table[basis] = _compute_class_quantiles(basis, self._counts[basis])
         self.today.clear()
 
-    def get_quantiles(self, basis: Ints, ahead_km: Floats) -> tuple[Floats, ErrorBounds]:
-        """Return the distribution of the standardised error of each forecast."""
+    def get_quantiles(self, basis: Ints, ahead_km: Floats, unknown: Floats | None = None) -> tuple[Floats, ErrorBounds]:
+        """Return the distribution of the standardised error of each forecast.
+
+        `unknown` is the share of the variance of each that earlier errors say nothing of, as in weather that no car has
+        seen. By that share the quantiles move outwards to those of the prior. [1]
+        """
         table = self.table[basis, classify(ahead_km)]
+        if unknown is not None and len(rows := np.flatnonzero(unknown > LEAST_UNKNOWN)):
+            known, prior = table[rows], _FIRST[np.broadcast_to(basis, len(table))[rows]]
+            mixed = known + unknown[rows, np.newaxis] * (prior - known)
+            table[rows] = np.where(_IS_UPPER, np.maximum(known, mixed), np.minimum(known, mixed))
         lower, upper = (table[:, LEVELS.index(level)] for level in (LOWER_LEVEL, UPPER_LEVEL))
         return table, ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
 
@@ -131,6 +141,11 @@ def _compute_class_quantiles(basis: int, counts: Floats) -> Floats:
 def _compute_first_quantiles(basis: int) -> Floats:
     """Return the quantiles of the classes of a basis before the first shift, from the prior alone."""
     return _compute_class_quantiles(basis, np.zeros((len(DISTANCE_CLASSES), len(SCORES))))
+
+
+_FIRST: Final = np.stack([_compute_first_quantiles(basis)[0] for basis in range(BASES)])
+"""Quantiles of the prior, (bases, levels). [1]"""
+_IS_UPPER: Final = np.array(LEVELS) > 0.5
 
 
 def weigh_day(shifts: int) -> float:

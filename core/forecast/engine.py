@@ -234,8 +234,8 @@ class ForecastEngine:
             elif self.log.is_due(lane := int(running.lane[i]), time[i], mean[i], arrived[i]):
                 outcome = Outcome.read(rows[i])
                 at_charge = outcome._replace(soc=float(rows["arrival_soc"][i]))
-                self.statistics.add_errors(self.log.evaluate_arrival(lane, float(rows["arrived"][i]), at_charge))
-                self.statistics.add_errors(self.log.evaluate_until(lane, float(time[i]), outcome))
+                self.statistics.add_errors(lane, self.log.evaluate_arrival(lane, float(rows["arrived"][i]), at_charge))
+                self.statistics.add_errors(lane, self.log.evaluate_until(lane, float(time[i]), outcome))
                 self.log.record(lane, *create_records(rows[i]))
                 add_next(lane, place + 1)
 
@@ -243,7 +243,11 @@ class ForecastEngine:
         """Learn from a shift of a car of a kind that has ended."""
         lane = int(shift["lane"])
         self.closed.append(shift.copy())
-        self.statistics.add_errors(self.log.evaluate_shift(lane, Outcome.read(shift)))
+        errors = self.log.evaluate_shift(lane, Outcome.read(shift))
+        if shift["end"] < shift["begin"]:  # its clock leapt back
+            self.statistics.distrust(lane)
+            return
+        self.statistics.add_errors(lane, errors)
         capacity = float(self._cars.capacity[kind])
         begin_soc, last_soc, curve = (float(shift[name]) for name in ("begin_soc", "last_soc", "curve"))
         used = compute_charge_between(begin_soc, last_soc, curve) * capacity

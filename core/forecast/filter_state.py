@@ -130,6 +130,7 @@ SOC_ESTIMATE: Final = np.dtype(
         ("log_factor_variance", "f8"),
         ("covariance", "f8"),  # of `soc` and `log_factor`
         ("usual", "f8"),  # expected `log_factor` of the shift, before any of its data
+        ("level_sd", "f8"),  # that of `FILTER_STATE` [1]
         ("departed", "f8"),  # 1 once the car has driven on after the last charge within the shift
         *_OF_BOTH,
         *((name, "f8") for name in ("ambient", "quantum", "arrived", "arrival_soc", "unplugged", "charged_soc")),

@@ -136,7 +136,7 @@ class UsualConsumption(NamedTuple):
     Parameters
     ----------
     weights : Weights of the knots of temperature, (n, temperatures) float. [1]
-    standing_power, ..., ride_pace : Values of `LegEnergyTables` of the same names.
+    standing_power, ..., level_sd : Values of `LegEnergyTables` of the same names.
     warm_up_energy : That which is left of the warm-up of the shift. [kWh]
     covariance : The same as `LegEnergyTables.parts_covariance`, (n, 2, 2) float. [1]
     plan_factor, plan_covariance, plan_spread : What is done of plans, see `PlanOutcomes`.
@@ -150,6 +150,7 @@ class UsualConsumption(NamedTuple):
     mean_power: Floats
     driving_energy_per_km: Floats
     ride_pace: Floats
+    level_sd: Floats
     covariance: Floats
     plan_factor: Floats
     plan_covariance: Floats

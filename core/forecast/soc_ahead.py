@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints, replace_nan
 from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE, ConformalIntervals
 from socast.core.forecast.learning.charged_soc import ChargedSoc
 from socast.core.forecast.learning.fleet import FleetStatistics
@@ -93,6 +93,8 @@ class CarsNow(NamedTuple):
         weights = compute_temperature_weights(ambient)
         usual = statistics.compute_usual(kinds, weights, time - filtered["begin"])
         estimate, patterns = CarEstimate.from_filter(filtered, cars.capacity[kinds]), statistics.get_patterns(lanes)
+        less_known = np.maximum(usual.level_sd**2 - replace_nan(filtered["level_sd"], 0.0) ** 2, 0.0)
+        estimate = estimate._replace(log_factor_variance=estimate.log_factor_variance + less_known)
         return cls(time, filtered, estimate, usual, patterns, statistics.conformal, statistics.charged_soc)
 
     def forecast_soc(
@@ -104,7 +106,8 @@ class CarsNow(NamedTuple):
         """
         raw = compute_end_soc(begin, energy, hours)
         energy_km = energy.mean / self.usual.energy_per_km
-        quantiles, bounds = self.conformal.get_quantiles(basis, energy_km)
+        unknown = np.clip((self.usual.level_sd * energy.mean / begin.capacity / raw.sd) ** 2, 0.0, 1.0)
+        quantiles, bounds = self.conformal.get_quantiles(basis, energy_km, unknown)
         mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
         high = np.minimum(np.maximum(high, EMPTY_SOC), most)
         return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)

@@ -415,7 +415,7 @@ def write_estimate(state: Any, out: Any) -> None:
     lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
     out.usual = state.usual + lasting * (out.log_factor - state.usual)
     out.arrived, out.arrival_soc, out.charged_soc = state.arrived, state.arrival_soc, state.charged_soc
-    out.unplugged = state.unplugged
+    out.unplugged, out.level_sd = state.unplugged, state.level_sd
     out.departed = 1.0 if state.distance - state.unplugged_distance > DEPARTURE_DISTANCE else 0.0
 
 

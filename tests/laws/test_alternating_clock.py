@@ -11,14 +11,14 @@ from socast.stream.mcap_reader import McapSource
 from tests.support.paths import RECORDINGS
 
 MOST_POINTS = 1.0
-HOUR = 3600.0
+HOUR, DAY = 3600.0, 86_400.0
 MIDNIGHT_S = 1_516_233_600.0
 NEAR_S = 300.0
 """Time around midnight within which the daily update may come a moment earlier or later. [s]"""
 
 
 def forecast(car=None, offset_s=0.0, every=1, *, is_absent=False):
-    """Return the SOC at the shift's end that others expect, by car and time; the clock of a car alternates."""
+    """Return mean and bounds of the SOC that others expect at the shift's end; the clock of a car alternates."""
     pipeline, out, count = Pipeline(EXTENDED_PHYSICAL), {}, 0
 
     def shift(match):
@@ -40,7 +40,8 @@ def forecast(car=None, offset_s=0.0, every=1, *, is_absent=False):
                 and "soc_end_of_shift_pct" in made
                 and abs(made["time_s"] - MIDNIGHT_S) > NEAR_S
             ):
-                out[made["vehicle_id"], made["time_s"]] = made["soc_end_of_shift_pct"]["mean"]
+                for name, value in made["soc_end_of_shift_pct"].items():
+                    out[made["vehicle_id"], made["time_s"], name] = value
     return out
 
 
@@ -49,7 +50,10 @@ def healthy():
     return forecast()
 
 
-@pytest.mark.parametrize(("car", "offset_s", "every"), [("taxi-007", HOUR, 10), ("taxi-001", -HOUR, 10)])
+@pytest.mark.parametrize(
+    ("car", "offset_s", "every"),
+    [("taxi-007", HOUR, 10), ("taxi-001", -HOUR, 10), ("taxi-007", DAY, 60), ("taxi-001", -DAY, 10)],
+)
 def test_forecasts_of_others_are_as_without_the_car_or_as_with_a_healthy_one(healthy, car, offset_s, every):
     absent, found = forecast(car, is_absent=True), forecast(car, offset_s, every)
     others = {key: value for key, value in healthy.items() if key[0] != car}

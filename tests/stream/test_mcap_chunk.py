@@ -46,7 +46,9 @@ def test_indexes_lead_to_every_message(seed):
     packed = chunk.pack([numbers, {}], [[f"record of {key}".encode()] for key in KEYS], lambda data: data)
     data = packed.record[packed.record.index(b"record of") :]
     found = []
-    for index in packed.indexes:
+    begins = packed.places.tolist()
+    for begin, end in zip(begins, [*begins[1:], len(packed.indexes)], strict=True):
+        index = bytes(packed.indexes[begin:end])
         _, _, channel, size = struct.unpack_from("<BQHI", index)
         assert size == len(index) - 15
         for receipt_ns, place in struct.iter_unpack("<QQ", index[15:]):
@@ -55,7 +57,8 @@ def test_indexes_lead_to_every_message(seed):
             payload = data[place + MESSAGE_HEAD.size : place + 9 + length]
             found.append((place, Message(KEYS[channel - 1], payload, receipt_ns)))
     assert [message for _, message in sorted(found)] == messages
-    assert packed.counts == {numbers[key]: sum(m.key == key for m in messages) for key in sorted(KEYS, key=numbers.get)}
+    assert packed.channels.tolist() == sorted({numbers[message.key] for message in messages})
+    assert packed.counts.tolist() == [sum(m.key == KEYS[n - 1] for m in messages) for n in packed.channels.tolist()]
 
 
 @pytest.mark.parametrize("chunk_bytes", [300, 7000, 1 << 20])

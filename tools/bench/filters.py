@@ -170,7 +170,7 @@ def _end(pipeline: Pipeline, cars: int) -> None:
     """End the shift of a fleet: evaluate its forecasts, and learn from it as one of many."""
     engine = pipeline.engine
     for lane in range(cars):
-        engine.statistics.add_errors(engine.log.evaluate_shift(lane, Outcome(0.38)))
+        engine.statistics.add_errors(lane, engine.log.evaluate_shift(lane, Outcome(0.38)))
         model = engine.context.cars.name(int(engine.context.cars.of_lane[lane])) or ""
         for _ in range(KEPT_SHIFTS):
             energy = ShiftEnergy(lane, None, 20.0, 21.0, 24.0, model, 0.0, 7.0, 10.0)

@@ -11,6 +11,9 @@ tell little of the level, but much of how driving differs from waiting. The nois
 uncertainty of its energy, and a part that grows with the energy. All that rows leave behind are sums. Older days lose
 weight.
 
+Where the display measures and has not moved, it may be stuck, and each short ride appears to take nothing. Such rows
+wait until the display moves, and are dropped if the car should have used too much meanwhile.
+
 References
 ----------
 Gelman et al., Bayesian Data Analysis, 3rd edition, section 14.8, ISBN 978-1-4398-4095-5. Henderson, Biometrics 31
@@ -74,6 +77,8 @@ class StretchRows(NamedTuple):
     riding : Whether it is a ride, (n,) bool.
     amounts, weights : Amounts, and weights of the knots of temperature [1], (n, amounts) and (n, temperatures) float.
     energy, sd : Measured energy and its standard uncertainty, NaN where unknown, (n,) float. [kWh]
+    most_still : Energy up to which a display is believed that has not moved, 0 where it has, and NaN where voltage and
+        current measured, (n,) float. [kWh]
     """
 
     lane: Ints
@@ -82,6 +87,7 @@ class StretchRows(NamedTuple):
     weights: Floats
     energy: Floats
     sd: Floats
+    most_still: Floats
 
     def rows(self, which: Ints) -> "StretchRows":
         """Return some of the rows."""
@@ -103,6 +109,7 @@ class ModelSums:
         }
         self.known, self.today = DaySums(**shapes), DaySums(**shapes)
         self._cars: dict[int, Floats] = {}  # sums of the day of each lane
+        self._waiting: dict[int, Floats] = {}  # rows of lanes whose display has not moved; none where it is stuck
 
     def add(self, rows: StretchRows) -> None:
         """Add rides and idle periods for the next daily update, in their order."""
@@ -117,10 +124,25 @@ class ModelSums:
                 variance = max(sd, LEAST_SD) ** 2 + ENERGY_SD**2 * expected
                 off = abs(energy - predicted) / np.hypot(np.sqrt(variance), DAY_SD * expected)
                 weight = min(1.0, LARGEST_RESIDUAL_SDS / max(off, 1e-9)) / variance
-                self._add_row(lane, terms, expected, energy, weight)
+                row = np.concatenate([terms, [expected, energy, weight]])
+                most_still = float(rows.most_still[i])
+                if most_still > 0.0:
+                    self._let_wait(lane, row, most_still)
+                else:
+                    waiting = self._waiting.pop(lane, ()) if most_still == 0.0 else ()
+                    for each in (*waiting, row):
+                        self._add_row(lane, each)
 
-    def _add_row(self, lane: int, terms: Floats, expected: float, energy: float, weight: float) -> None:
+    def _let_wait(self, lane: int, row: Floats, most: float) -> None:
+        """Let a row wait until the display moves, or drop those that wait if it should have moved before."""
+        waiting = self._waiting.get(lane)
+        if waiting is None or len(waiting):
+            waiting = np.vstack([row] if waiting is None else [waiting, row])
+            self._waiting[lane] = waiting[:0] if waiting[:, _SIZE].sum() > most else waiting
+
+    def _add_row(self, lane: int, row: Floats) -> None:
         """Add a row to the normal equations, where the deviation of the lane's day is integrated out."""
+        terms, (expected, energy, weight) = row[:_SIZE], row[_SIZE:].tolist()
         before = self._cars.setdefault(lane, np.zeros(_SIZE + 2))
         after = before + weight * expected * np.concatenate([terms, [expected, energy]])
         matrix, right = weight * np.outer(terms, terms), weight * energy * terms
@@ -136,6 +158,9 @@ class ModelSums:
         """Let the rows of the day take effect."""
         if not self.today.get("counts").any():
             return
+        for lane, waiting in self._waiting.items():
+            for row in waiting:
+                self._add_row(lane, row)
         self.known.age(DAY_MEMORY, self.today)
         self.forget_day()
         before, terms = self.mean, self.known.get("terms")
@@ -147,7 +172,7 @@ class ModelSums:
     def forget_day(self) -> None:
         """Drop the rows of the day."""
         self.today.clear()
-        self._cars = {}
+        self._cars, self._waiting = {}, {}
 
     def solve(self, prior: CoefficientPrior) -> tuple[Floats, Floats]:
         """Return mean and covariance of the coefficients."""
@@ -164,15 +189,16 @@ class ModelSums:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        cars = [(lane, sums.tobytes()) for lane, sums in self._cars.items()]
-        return self.known.dump(), self.today.dump(), cars, self.mean.tobytes(), self.level
+        of_lanes = ([(lane, each.tobytes()) for lane, each in part.items()] for part in (self._cars, self._waiting))
+        return self.known.dump(), self.today.dump(), *of_lanes, self.mean.tobytes(), self.level
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        known, today, cars, mean, self.level = state
+        known, today, cars, waiting, mean, self.level = state
         self.known.load(known)
         self.today.load(today)
         self._cars = {int(lane): np.frombuffer(sums).copy() for lane, sums in cars}
+        self._waiting = {int(lane): np.frombuffer(rows).reshape(-1, _SIZE + 3).copy() for lane, rows in waiting}
         self.mean = np.frombuffer(mean).copy()
 
 

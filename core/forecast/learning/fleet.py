@@ -7,6 +7,7 @@ a forecast depends on the day, and not on which other cars sent samples a moment
 """
 
 from collections.abc import Sequence
+from itertools import chain
 from math import exp
 from typing import Any, Final, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, Stateful, grown, replace_nan, sum_weighted, take_lanes
+from socast.core.cleaning.meters import FROZEN_SOC
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
@@ -38,7 +40,7 @@ from socast.core.forecast.outlook import UsualConsumption, compute_temperature_w
 from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals, join_totals
 from socast.core.totals.context import RunContext
-from socast.core.totals.measured_energy import compute_largest_energy, measure_energy
+from socast.core.totals.measured_energy import BY_SOC, compute_largest_energy, measure_energy
 from socast.core.totals.tables import has_unsettled_clock, unfit_reason
 from socast.core.vehicles.fleet import UNKNOWN
 
@@ -94,6 +96,8 @@ class FleetStatistics:
     ----------
     prior : (lanes,) LOG_FACTOR_PRIOR
         Logarithm of the consumption factor of each car at the beginning of a shift.
+    errors : dict of int to list of ShiftErrors
+        Errors of the forecasts of each lane since the last daily update, None where its clock leapt.
     interval_outcomes : (bases, 3) int
         Numbers of evaluated forecasts with the outcome below, inside and above their published interval.
     """
@@ -106,6 +110,7 @@ class FleetStatistics:
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
         self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
+        self.errors: dict[int, list[ShiftErrors] | None] = {}
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
         self._stacked = _stack_tables(self._tables)
 
@@ -140,15 +145,27 @@ class FleetStatistics:
         charged = idle.at_last("since_charge") < duration + LONGEST_GAP
         return np.asarray(whole & ~charged & ~has_unsettled_clock(idle) & (idle.at_first("time") > 0.0))
 
-    def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
-        """Add the errors of evaluated forecasts."""
+    def add_errors(self, lane: int, errors: Sequence[ShiftErrors]) -> None:
+        """Add the errors of evaluated forecasts of a lane, for the daily update."""
+        known = self.errors.setdefault(lane, [])
+        if known is not None:
+            known += errors
         for each in errors:
+            self.interval_outcomes[each.basis] += each.outcomes
+
+    def distrust(self, lane: int) -> None:
+        """Drop the errors of a lane's day, because its clock leapt: when anything happened is unknown."""
+        self.errors[lane] = None
+
+    def _learn_errors(self) -> None:
+        """Learn from the errors of forecasts whose cars are trusted."""
+        for each in chain.from_iterable(errors or () for errors in self.errors.values()):
             self.plan_outcomes.add_shift(each.driving, each.waiting, each.done)
             if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
                 self.daily_cycle.add_shift(each.time, each.ambient_c)
             if len(each.scores):
                 self.conformal.add_shift(each.basis, each.ahead_km, each.scores)
-                self.interval_outcomes[each.basis] += each.outcomes
+        self.errors = {}
 
     def add_shift(self, energy: ShiftEnergy) -> None:
         """Add a shift that has ended, for the daily update: consumption factors are read when a driver is named."""
@@ -159,6 +176,7 @@ class FleetStatistics:
         self.energies.apply_daily_update(self._find_prior)
         self._tables = []
         self._learn_shifts()
+        self._learn_errors()
         for part in (self.conformal, self.daily_cycle, self.charged_soc, self.plan_outcomes):
             part.apply_daily_update()
         for lane in range(len(self.prior)):
@@ -208,6 +226,7 @@ class FleetStatistics:
         self._update_kinds()
         usual = {name: self._interpolate(name, kinds, weights) for name in _USUAL}
         usual["warm_up_energy"] = usual["warm_up_energy"] * compute_warm_up_left(awake_s)
+        usual["level_sd"] = self._interpolate("level_sd", kinds, weights)
         usual["ride_pace"] = self._stacked["ride_pace"][kinds, 0]
         plans, n = self.plan_outcomes, len(kinds)
         return UsualConsumption(
@@ -262,6 +281,8 @@ class FleetStatistics:
             amounts = _compute_amounts(kept)
             left = [compute_warm_up_left(each - begin[which]) for each in (kept.at_first("time"), kept.at_last("time"))]
             amounts[:, WARM_UP] = left[0] - left[1]
+            still = kept.at_first("soc") == kept.at_last("soc")
+            believed = np.where(still, FROZEN_SOC * self._cars.capacity[kept.kinds], 0.0)
             rows = StretchRows(
                 kept.lane,
                 kept.ride >= 0,
@@ -269,6 +290,7 @@ class FleetStatistics:
                 compute_temperature_weights(kept.amount("ambient") / kept.amount("duration")),
                 measured.energy[which],
                 measured.sd[which],
+                np.where(measured.source[which] == BY_SOC, believed, np.nan),
             )
             self.energies.add([self._cars.name(kinds[i]) or "" for i in which.tolist()], rows, self._find_prior)
 
@@ -285,15 +307,17 @@ class FleetStatistics:
     def dump(self) -> Any:
         """Return the state as plain values."""
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
-        return [part.dump() for part in self._get_parts()], self._shifts, *arrays
+        errors = [(lane, of_lane and [each.dump() for each in of_lane]) for lane, of_lane in self.errors.items()]
+        return [part.dump() for part in self._get_parts()], self._shifts, errors, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        parts, shifts, prior, patterns, outcomes = state
+        parts, shifts, errors, prior, patterns, outcomes = state
         for part, dumped in zip(self._get_parts(), parts, strict=True):
             part.load(dumped)
         self._tables = []
         self._shifts = [ShiftEnergy(*each) for each in shifts]
+        self.errors = {int(lane): of_lane and [*map(ShiftErrors.load, of_lane)] for lane, of_lane in errors}
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
         self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()

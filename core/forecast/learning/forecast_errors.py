@@ -113,6 +113,20 @@ class ShiftErrors(NamedTuple):
     waiting: Floats
     done: Floats
 
+    def dump(self) -> Any:
+        """Return the errors as plain values."""
+        return self.basis, *(each.tobytes() for each in self[1:])
+
+    @classmethod
+    def load(cls, state: Any) -> "ShiftErrors":
+        """Return the errors that `dump` returned; raise ValueError where their numbers do not fit."""
+        basis, *packed = state
+        types = (np.int64 if name == "outcomes" else np.float64 for name in cls._fields[1:])
+        known = cls(int(basis), *(np.frombuffer(*each) for each in zip(packed, types, strict=True)))
+        if len(known.ahead_km) != len(known.scores) or len({len(each) for each in known[4:]}) > 1:
+            raise ValueError("errors of forecasts of another number")
+        return known
+
 
 class ForecastLog:
     """Record forecasts of the shifts in progress until their end."""

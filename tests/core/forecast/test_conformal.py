@@ -1,5 +1,7 @@
 """Test the intervals from earlier errors: coverage, and borrowing between classes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -106,6 +108,18 @@ def test_class_with_few_shifts_borrows_from_the_others_but_not_from_other_basis(
     assert bounds_at(conformal, 10.0, kind=1) == pytest.approx(prior)
     alone = learned(0.1 * rng.normal(size=800), conformal, km=50.0)
     assert bounds_at(alone, 50.0)[1] < 0.7 * near[1]
+
+
+def test_what_errors_do_not_tell_of_is_bounded_as_before_any_shift_and_never_narrower():
+    conformal = learned(0.1 * np.random.default_rng(1).normal(size=400))
+    first = ConformalIntervals().get_quantiles(*HERE)[0]
+    tables = [conformal.get_quantiles(*HERE, np.array([share]))[0] for share in (0.0, 0.3, 1.0)]
+    for known, wider in pairwise(tables):
+        assert (np.diff(wider) >= 0.0).all()
+        assert wider[0, 0] < known[0, 0]
+        assert wider[0, -1] > known[0, -1]
+    upper = np.array(LEVELS) > 0.5
+    assert tables[2] == pytest.approx(np.where(upper, np.maximum(tables[0], first), np.minimum(tables[0], first)))
 
 
 def test_shifts_of_one_day_count_as_few():

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.forecast.conformal import BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.conformal import BASES, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.wire.messages import Plan
 from tests.support.fleet_days import (
     CARS,
@@ -126,7 +126,9 @@ def test_short_plugging_in_and_a_charge_before_the_plan_use_up_no_charge():
 
 def learned_of(pipeline):
     """Return the number of forecasts by basis that the day's shifts have taught."""
-    return pipeline.engine.statistics.conformal.today.get("shifts").astype(int).tolist()
+    errors = pipeline.engine.statistics.errors.values()
+    known = [each.basis for of_lane in errors for each in of_lane if len(each.scores)]
+    return [known.count(basis) for basis in range(BASES)]
 
 
 def test_errors_before_and_over_a_charge_count_for_classes_of_their_own():
@@ -148,12 +150,8 @@ def test_errors_until_a_charge_are_those_of_the_reading_before_it():
     to_charge = records[records["basis"] == TO_CHARGE]
     assert len(to_charge) == (records["basis"] == OVER_CHARGE).sum() > 3
     arrival = columns_with_charge(CAR, DAYS)["soc_pct"][int(ARRIVES / 15.0) - 1] / 100.0
-    seen = []
-    conformal = pipeline.engine.statistics.conformal
-    add = conformal.add_shift
-    conformal.add_shift = lambda basis, *rest: seen.append((basis, *rest)) or add(basis, *rest)
     run([each for each in stream() if each[0] > BEGIN + ARRIVES + 30.0], pipeline=pipeline)
-    (scores,) = [rest[1] for basis, *rest in seen if basis == TO_CHARGE]
+    (scores,) = [each.scores for each in pipeline.engine.statistics.errors[LANE] if each.basis == TO_CHARGE]
     outcomes = to_charge["mean"] + scores * to_charge["sd"]
     assert outcomes == pytest.approx(np.full(len(scores), arrival), abs=0.0051)  # a step later than the last forecast
 

@@ -17,9 +17,9 @@ from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 
 RUNS: Final = {
-    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1260"),
-    "small": ("--fleet", "small", "--seeds", "1260-1265"),
-    "preset": ("--fleet", "preset", "--seeds", "1260", "--rides", "8000"),
+    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1360"),
+    "small": ("--fleet", "small", "--seeds", "1360-1365"),
+    "preset": ("--fleet", "preset", "--seeds", "1360", "--rides", "8000"),
 }
 """Fleets that are judged, with seeds on which nothing was chosen."""
 _BOTH: Final = re.compile(r"\(([\d.]+) against ([\d.]+)")

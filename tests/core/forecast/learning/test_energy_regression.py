@@ -86,7 +86,7 @@ def make_rows(n, seed, cars=4, scale=0.0):
     of_day = scale * rng.normal(size=cars)
     noise = np.sqrt(sd**2 + ENERGY_SD**2 * terms @ PRIOR.mean) * rng.normal(size=n)
     used = terms @ truth + of_day[lane] * (terms @ PRIOR.mean) + noise
-    return StretchRows(lane, riding, amounts, weights, used, sd), truth, terms
+    return StretchRows(lane, riding, amounts, weights, used, sd, np.full(n, np.nan)), truth, terms
 
 
 def test_physics_predicts_before_any_ride():
@@ -151,6 +151,22 @@ def test_impossible_energy_changes_little():
         sums.apply_daily_update(PRIOR)
         energies.append(terms @ sums.mean)
     assert energies[1].sum() == pytest.approx(energies[0].sum(), rel=0.05)
+
+
+def test_stuck_display_teaches_nothing_and_one_with_coarse_steps_does():
+    rows, _, _ = make_rows(40, 10, cars=1)
+    still = np.arange(40) % 2 > 0
+    coarse = rows._replace(energy=np.where(still, 0.0, rows.energy), most_still=np.where(still, 5.0, 0.0))
+    stuck = coarse._replace(energy=np.where(np.arange(40) < 20, rows.energy, 0.0))
+    stuck = stuck._replace(most_still=np.where(np.arange(40) < 20, 0.0, 5.0))
+    learned = []
+    for each in (coarse, coarse._replace(most_still=rows.most_still), stuck, stuck.rows(np.arange(20))):
+        sums = ModelSums(PRIOR.mean)
+        sums.add(each)
+        sums.apply_daily_update(PRIOR)
+        learned.append(sums.known.get("right"))
+    assert learned[0] == pytest.approx(learned[1])
+    assert (learned[2] == learned[3]).all()
 
 
 def test_level_follows_the_energy_of_the_usual_rides():
