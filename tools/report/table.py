@@ -20,7 +20,7 @@ PAPER_NOTE: Final = (
 
 UNKNOWN: Final = "–"
 """Text where there is no figure."""
-NUMBER: Final = re.compile(r"(?!\d{4}-\d\d-\d\d)[<>~]? ?[-+−±]?\d")
+NUMBER: Final = re.compile(r"(?!\d{4}-\d\d-\d\d)(?:[<>~] ?|less than )?[-+−±]?\d")
 """Begin of a cell that is a number; a date is words."""
 
 
@@ -93,7 +93,7 @@ class ReportTable(NamedTuple):
 
 def _holds_numbers(texts: Sequence[str]) -> bool:
     """Return whether at least half of the known cells of a column begin with a number."""
-    known = [text for text in texts if text not in {"", UNKNOWN}]
+    known = [text for text in texts if text and not text.startswith(UNKNOWN)]
     return 2 * sum(NUMBER.match(text) is not None for text in known) >= len(known)
 
 

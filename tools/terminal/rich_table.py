@@ -209,6 +209,8 @@ def distribute_width(
     --------
     >>> distribute_width([8, 8, 5], [20, 10, 5], [40, 30, 5], room=25)
     [10, 10, 5]
+    >>> distribute_width([8, 8, 5], [8, 8, 5], [9, 12, 5], room=25, words={0})
+    [8, 12, 5]
     """
     widths = list(least)
     for i in sorted(range(len(widths)), key=lambda i: unbroken[i] - least[i]):

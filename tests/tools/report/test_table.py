@@ -18,7 +18,14 @@ def make_table(*columns):
 
 @pytest.mark.parametrize(
     "texts",
-    [["12", UNKNOWN], ["−0.5 (−6.8 to +6.2)", ""], ["< 0.001", "0.034"], ["12", "more than a year"], [UNKNOWN, ""]],
+    [
+        ["12", UNKNOWN],
+        ["−0.5 (−6.8 to +6.2)", ""],
+        ["< 0.001", "0.034"],
+        ["12", "more than a year"],
+        [UNKNOWN, ""],
+        ["less than 0.1 %", f"{UNKNOWN} ●"],
+    ],
 )
 def test_column_of_numbers_is_numeric(texts):
     assert make_table(texts).numeric == (True,)
