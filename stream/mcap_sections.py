@@ -8,6 +8,7 @@ from typing import BinaryIO, Final, NamedTuple
 from socast.stream.mcap_format import (
     CHUNK,
     DAMAGE,
+    DATA_END,
     FOOTER,
     FOOTER_RECORD,
     HEADER,
@@ -62,9 +63,10 @@ def find_sections(file: BinaryIO) -> tuple[list[Section], int]:
 def _find_end(file: BinaryIO, begin: int, size: int) -> tuple[int, bool]:
     """Return the end of a recording after its footer, or else the end of its last intact chunk.
 
-    Where a recording breaks off, its last record seems to go on in the next recording, and records seem to follow it.
+    Where a recording breaks off, its last record seems to go on in the next recording, and records seem to follow it. A
+    footer that they lead to is that of the next recording: its summary follows its data, and tells where it begins.
     """
-    at = begin + len(MAGIC)
+    at = summary = begin + len(MAGIC)
     chunks: deque[tuple[int, int]] = deque(maxlen=_CHECKED)
     while at + RECORD.size <= size:
         file.seek(at)
@@ -74,13 +76,28 @@ def _find_end(file: BinaryIO, begin: int, size: int) -> tuple[int, bool]:
             break
         if opcode == CHUNK:
             chunks.append((at, end))
+        if opcode == DATA_END:
+            summary = end
         if opcode == FOOTER and end == at + FOOTER_RECORD.size:
-            file.seek(end)
-            if file.read(len(MAGIC)) == MAGIC:
+            file.seek(at)
+            _, _, summary_start, _, _ = FOOTER_RECORD.unpack(file.read(FOOTER_RECORD.size))
+            found = file.read(len(_BEGIN))
+            other = summary - summary_start if summary_start else begin
+            if other > begin and _begins(file, other):
+                return other, False
+            if found == _BEGIN:
+                return end, False
+            if found[: len(MAGIC)] == MAGIC:
                 return end + len(MAGIC), True
         at = end
     intact = (end for start, end in reversed(chunks) if _is_intact(file, start, end))
     return next(intact, begin + len(MAGIC)), False
+
+
+def _begins(file: BinaryIO, at: int) -> bool:
+    """Return whether a recording begins at a place."""
+    file.seek(at)
+    return file.read(len(_BEGIN)) == _BEGIN
 
 
 def _is_intact(file: BinaryIO, start: int, end: int) -> bool:

@@ -103,6 +103,23 @@ def test_recording_after_one_that_breaks_off_is_read(tmp_path_factory, keep):
     assert source.losses.lines() == of_first.losses.lines()
 
 
+def test_recording_after_one_whose_last_record_it_seems_to_end_is_read(tmp_path):
+    whole, second = write(tmp_path, FIRST), write(tmp_path, SECOND_DAY)
+    ends = [0, 8]  # places in the second recording at which records begin, and its magic
+    while ends[-1] + 9 <= 200:
+        ends.append(ends[-1] + 9 + int.from_bytes(second[ends[-1] + 1 : ends[-1] + 9], "little"))
+    at, cuts = 8, {len(whole) - 8, len(whole) - 16}
+    while at + 9 < len(whole):
+        end = at + 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+        cuts |= {end - taken for taken in ends if at < end - taken <= len(whole) - 8}
+        at = end
+    for place in sorted(cuts):
+        alone, of_first = read(tmp_path / "alone.mcap", whole[:place])
+        got, source = read(tmp_path / "joined.mcap", whole[:place] + second)
+        assert got == alone + SECOND_DAY, place
+        assert source.losses.lines() == of_first.losses.lines(), place
+
+
 def test_damage_in_the_first_recording_does_not_hide_the_second(tmp_path):
     first, second = write(tmp_path, FIRST), write(tmp_path, SECOND_DAY)
     with (tmp_path / "part.mcap").open("wb") as file:
