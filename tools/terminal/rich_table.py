@@ -158,7 +158,7 @@ class _NumberTable(Table):
                     self._measure_least(column, breaking._replace(headings=False, texts=False))
                     for column in self.columns
                 ]
-                words = {number for number, column in enumerate(self.columns) if column.justify != "right"}
+                words = {i for i, column in enumerate(self.columns) if i and column.justify != "right"}  # 0: the names
                 widths = distribute_width(least, unbroken, most, room, words)
                 for column, width in zip(self.columns, widths, strict=True):
                     column.width = width
