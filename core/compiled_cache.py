@@ -1,11 +1,24 @@
-"""Keep the cache of compiled functions valid, and find a place for it where the sources are read-only."""
+"""Keep the cache of compiled functions valid, and find a place for it where the sources are read-only.
+
+All modules take `njit` from here, because numba looks for a place when a function is declared.
+"""
 
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
+from stat import S_ISDIR
 from types import ModuleType
 from typing import Any, Final
+
+from numba import njit
+from numba.core import config
+from numba.core.caching import UserProvidedCacheLocator
+
+__all__ = "njit", "watch_sources"
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
 """Environment variable with the folder in which numba keeps compiled functions."""
@@ -18,14 +31,12 @@ def watch_sources(function: Any, *modules: ModuleType) -> None:
     The functions of these modules that it calls must be compiled with `cache=False`. Otherwise numba would link their
     cached versions, which are checked against one file each.
     """
-    from hashlib import sha256  # noqa: PLC0415 - whoever compiles nothing needs it not
-
     files = [function.py_func.__code__.co_filename, *(str(module.__file__) for module in modules)]
     digest = sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
     function._cache._cache_file._source_stamp = digest  # noqa: SLF001 - numba has no public way
 
 
-def place_cache() -> None:
+def _place_cache() -> None:
     """Let numba keep compiled functions in a temporary folder of the user where it can keep them nowhere else.
 
     numba writes to the folder that `VARIABLE` names, beside the sources, or to the cache of the user, and refuses to
@@ -37,8 +48,6 @@ def place_cache() -> None:
     with suppress(OSError):  # without a folder, numba refuses to compile
         folder, is_new = _make_folder()
         os.environ[VARIABLE] = folder
-        from numba.core import config  # noqa: PLC0415 - most starts do not come here, and many need no numba
-
         config.CACHE_DIR = folder  # type: ignore[attr-defined]
         if is_new:
             _copy_compiled(folder)
@@ -63,9 +72,6 @@ def _may_write(folder: str) -> bool:
 
 def _make_folder() -> tuple[str, bool]:
     """Return a folder that only this user may read and write, and whether it is new."""
-    import tempfile  # noqa: PLC0415
-    from stat import S_ISDIR  # noqa: PLC0415
-
     folder = os.path.join(tempfile.gettempdir(), f"socast-compiled-{os.getuid()}")  # noqa: PTH118
     try:
         os.mkdir(folder, 0o700)  # noqa: PTH102
@@ -79,10 +85,6 @@ def _make_folder() -> tuple[str, bool]:
 
 def _copy_compiled(folder: str) -> None:
     """Copy what was compiled beside the sources; numba divides its folder by those of the sources."""
-    import shutil  # noqa: PLC0415
-
-    from numba.core.caching import UserProvidedCacheLocator  # noqa: PLC0415
-
     find_part: Any = UserProvidedCacheLocator.get_suitable_cache_subpath
     for package in ("core", "stream"):
         for compiled in (_PACKAGE / package).rglob("__pycache__/*.nb?"):
@@ -96,3 +98,6 @@ def _copy_compiled(folder: str) -> None:
             except OSError:
                 unfinished.unlink(missing_ok=True)
                 raise
+
+
+_place_cache()

@@ -17,9 +17,6 @@ True
 
 import lazy_loader
 
-from socast.core.compiled_cache import place_cache as _place_cache
-
-_place_cache()
 _load_export, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 

@@ -3,10 +3,10 @@
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Ints
+from socast.core.compiled_cache import njit
 from socast.core.wire.message_block import PADDING, Bytes, get_words
 from socast.stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
 

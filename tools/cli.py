@@ -19,7 +19,6 @@ from typing import Annotated, Any, Final, NamedTuple
 import typer
 from typer.core import TyperCommand
 
-from socast.core.compiled_cache import VARIABLE
 from socast.core.errors import SocastError
 
 
@@ -285,7 +284,7 @@ def _explain_shortage(error: Exception) -> str | None:
             f"the address space is limited to {most >> 20} MiB ({error}): raise it with `ulimit -v {LEAST_SPACE >> 10}`"
         )
     if "no locator available" in str(error):  # numba's
-        return f"no folder for compiled code can be written: set {VARIABLE} or TMPDIR to one that can"
+        return "no folder for compiled code can be written: set NUMBA_CACHE_DIR or TMPDIR to one that can"
     if isinstance(error, MemoryError):
         return f"memory is used up ({str(error) or 'no more is given'}): free some, or read fewer recordings"
     return None

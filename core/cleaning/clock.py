@@ -52,12 +52,11 @@ the growing-memory filter, g = 2(2n+1)/((n+1)(n+2)), h = 6/((n+1)(n+2)).
 from math import isnan, nan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning import late_samples, shared_stamps
 from socast.core.cleaning.late_samples import AGREE_BACK, AGREE_LATE, LEAP, is_stray, remember_hole
 from socast.core.cleaning.quality import Quality
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "samples",  # number of accepted samples; zero for a new lane

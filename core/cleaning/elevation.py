@@ -29,9 +29,8 @@ slack. The climb that the filter has not passed on when a ride ends is missing f
 from math import isnan, nan, sqrt
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.quality import Quality
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "elevation",  # smoothed [m]

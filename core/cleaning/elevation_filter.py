@@ -27,10 +27,10 @@ from math import exp, expm1, inf, isnan, log, nan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
 from socast.core.cleaning.elevation import STEEPEST
+from socast.core.compiled_cache import njit
 
 LENGTH: Final = 300.0
 """Length over which the slope of a road returns to level. [m]

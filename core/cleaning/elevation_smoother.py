@@ -14,7 +14,6 @@ from math import isnan, nan
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
@@ -38,7 +37,7 @@ from socast.core.cleaning.elevation_filter import (
     filter_ride,
     smooth_back,
 )
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 
 LONGEST_PIECE: Final = 50_000
 """Number of rows of a ride after which its elevation is estimated anew; 42 h at a sample every 3 s."""

@@ -13,13 +13,12 @@ its step, as a bridged one is in `socast.core.cleaning.motion`.
 from math import atan2, hypot, isnan, nan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning import motion, position_filter
 from socast.core.cleaning.elevation import climb_step
 from socast.core.cleaning.quality import Quality
 from socast.core.cleaning.speed_witness import count_distance
 from socast.core.cleaning.sphere import compute_chord, wrap_angle
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "odometer_step",  # smallest change of the odometer, 0 before the second [m]

@@ -20,10 +20,10 @@ sends them together. The rides of other cars then end early; their samples begin
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.cleaning.segmentation import finish_ride
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = ("heard",)
 """Fields in the state of a lane: the fleet clock at its last accepted sample. [s]"""

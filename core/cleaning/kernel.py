@@ -13,7 +13,6 @@ from math import cos, isnan, nan, sin
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core import batch, columns
@@ -44,7 +43,7 @@ from socast.core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_cl
 from socast.core.cleaning.quality import Quality
 from socast.core.cleaning.segmentation import NO_RIDE_EVENTS
 from socast.core.columns import TELEMETRY
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 from socast.core.settings import Settings
 
 _PARTS: Final = (

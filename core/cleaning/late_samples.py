@@ -2,9 +2,8 @@
 
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.shared_stamps import MOST_SHARED
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "late_stamp",  # stamp of the last rejected sample [s]

@@ -12,11 +12,10 @@ quanta by V·I. It jumps where it changes by more than the car can have used, or
 from math import exp, isnan, log, nan, tanh
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.power_sign import observe_charge
 from socast.core.cleaning.quality import Quality
 from socast.core.columns import KMH, POWER_SPANS
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "power",  # [W]

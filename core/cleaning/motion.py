@@ -22,8 +22,6 @@ its ends. On an ordinary row it equals the change of the smoothed speed over the
 from math import atan2, isnan, nan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.elevation import climb_step
 from socast.core.cleaning.quality import Quality
 from socast.core.cleaning.slow_steps import HOLE, compare_ends, find_farthest_fix
@@ -39,6 +37,7 @@ from socast.core.cleaning.speed_noise import (
 from socast.core.cleaning.speed_witness import count_distance, weigh_speed
 from socast.core.cleaning.sphere import compute_chord, find_way, wrap_angle
 from socast.core.columns import KMH
+from socast.core.compiled_cache import njit
 
 RING: Final = 8
 """Longest moving average of the speed. [samples]"""

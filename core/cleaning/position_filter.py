@@ -27,12 +27,11 @@ the distance from there is added that has not been counted since.
 from math import cos, hypot, isnan, nan, sqrt
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.motion import NULL_ISLAND, SLACK
 from socast.core.cleaning.slow_steps import HOLE
 from socast.core.cleaning.sphere import compute_chord, wrap_angle
 from socast.core.columns import EARTH_RADIUS
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "path_latitude",  # origin of the plane [rad], NaN before the first fix

@@ -11,7 +11,7 @@ the decision to the state of charge.
 from math import isnan, sqrt
 from typing import Any, Final
 
-from numba import njit
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "sign_steps",  # weight of the steps in the sums below

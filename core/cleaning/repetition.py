@@ -3,9 +3,8 @@
 from math import cos, isnan, sqrt
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.columns import EARTH_RADIUS
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # of the last row, as reported

@@ -16,9 +16,9 @@ from math import isnan, nan
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import NO_RIDE
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "rides",  # number of rides begun so far

@@ -10,9 +10,8 @@ the steps so far were wrong is returned with the sample (`mistimed`), so that it
 
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.quality import Quality
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "shared",  # number of periods counted since the stamp last changed

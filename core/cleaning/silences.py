@@ -9,7 +9,6 @@ between its samples as events. A silence of a car that is not on a ride has no e
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core import columns
@@ -26,7 +25,7 @@ from socast.core.cleaning import (
 )
 from socast.core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
 from socast.core.columns import TELEMETRY
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 from socast.core.settings import Settings
 
 INPUTS: Final = ("stamp", "seq", "latitude", "longitude", "speed", "current", "soc")

@@ -3,9 +3,8 @@
 from math import isnan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.sphere import find_way
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "leapt",  # 1 where a fix is further away than the car can have come

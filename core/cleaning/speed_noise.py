@@ -35,10 +35,9 @@ Processing 47 (1999) 2567, DOI 10.1109/78.782208: the intersection of confidence
 from math import isnan, log10, nan, sqrt
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.quality import Quality
 from socast.core.columns import KMH
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "leap",  # last speed that is held back, NaN without one [m/s]

@@ -19,11 +19,10 @@ while a single witness shows another unit; a ride with much of it is unfit for t
 from math import isnan, log, nan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning.quality import Quality
 from socast.core.cleaning.sphere import find_way, wrap_angle
 from socast.core.columns import EARTH_RADIUS
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "section_latitude",  # fix at which the open section began [rad], NaN without one

@@ -3,9 +3,8 @@
 from math import cos, pi, sqrt
 from typing import Any
 
-from numba import njit
-
 from socast.core.columns import EARTH_RADIUS
+from socast.core.compiled_cache import njit
 
 
 @njit(cache=False)

@@ -3,10 +3,9 @@
 from math import isnan, nan
 from typing import Any, Final
 
-from numba import njit
-
 from socast.core.cleaning import motion
 from socast.core.cleaning.sphere import find_way
+from socast.core.compiled_cache import njit
 
 FIELDS: Final = (
     "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since

@@ -23,10 +23,10 @@ from math import isnan, log
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
+from socast.core.compiled_cache import njit
 from socast.core.condition.level_smoother import SmoothedLevel, smooth_level
 from socast.core.condition.step_mixture import NO_SHOCK, ShockMixture
 

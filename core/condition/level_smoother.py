@@ -19,9 +19,9 @@ from math import isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
+from socast.core.compiled_cache import njit
 
 _KEPT: Final = 7
 """Number of rows that the filter keeps of each date."""

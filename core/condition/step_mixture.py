@@ -12,10 +12,10 @@ and only g takes a pass over the dates, with the gains of `socast.core.condition
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
+from socast.core.compiled_cache import njit
 
 
 class ShockMixture(NamedTuple):

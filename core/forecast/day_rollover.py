@@ -16,11 +16,11 @@ from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats, Ints, grown
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.compiled_cache import njit
 from socast.core.wire.decoder import Event
 from socast.core.wire.messages import Wire
 

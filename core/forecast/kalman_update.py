@@ -14,7 +14,7 @@ Kalman, Journal of Basic Engineering 82 (1960) 35, DOI 10.1115/1.3662552.
 from math import log
 from typing import Any, Final
 
-from numba import njit
+from socast.core.compiled_cache import njit
 
 LARGEST_LOG_CONSUMPTION: Final = log(5.0)
 """Largest absolute value of `a`: no car uses five times the prediction, or a fifth of it, for a day. [1]"""

@@ -5,10 +5,10 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.core.compiled_cache import njit
 from socast.core.forecast.learning.consumption_terms import LEAST_KM, TEMPERATURES
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.wire.messages import Leg, Plan

@@ -27,9 +27,7 @@ Jazwinski, Stochastic Processes and Filtering Theory, Academic Press 1970, secti
 from math import exp, isnan, nan
 from typing import Any, Final
 
-from numba import njit
-
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 from socast.core.forecast import filter_state, kalman_update, soc_reading
 from socast.core.forecast.filter_state import (
     CAPACITY_SD,

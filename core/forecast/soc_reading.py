@@ -21,8 +21,7 @@ section 13.10.1.
 from math import erfc, exp, isnan, nan, pi, sqrt
 from typing import Any, Final
 
-from numba import njit
-
+from socast.core.compiled_cache import njit
 from socast.core.forecast.kalman_update import update_mean, update_state
 
 READING_SD: Final = 0.001

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats, Ints
+from socast.core.compiled_cache import njit
 from socast.core.errors import ModelError
 from socast.core.models.features import Columns
 

@@ -8,7 +8,7 @@ stations.
 from math import isnan, pi
 from typing import Any, Final
 
-from numba import njit
+from socast.core.compiled_cache import njit
 
 _NONE: Final = -1
 

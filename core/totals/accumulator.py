@@ -10,7 +10,6 @@ from math import isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import NO_RIDE, Floats, Ints, grown, take_lanes
@@ -18,6 +17,7 @@ from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.fleet_clock import RIDE_END
 from socast.core.cleaning.quality import CAUSES
 from socast.core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
+from socast.core.compiled_cache import njit
 from socast.core.totals.display_record import create_unknown_yields
 
 SPEED_BIN: Final = SPEED_BIN_KMH * KMH

@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Floats, Ints
+from socast.core.compiled_cache import njit
 from socast.core.wire.json_scanner import POSITION
 from socast.core.wire.messages import LONGEST_TEXT
 from socast.core.wire.name_lookup import NAME, Texts

@@ -19,11 +19,11 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from xxhash import xxh64_intdigest
 
 from socast.core.batch import Lanes
+from socast.core.compiled_cache import njit
 from socast.core.files import UNREADABLE
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, BatchReader, select_rows

@@ -14,12 +14,11 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import NO_RIDE, Batch, Floats, Ints, grown
 from socast.core.columns import TELEMETRY
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 from socast.core.files import UNREADABLE
 from socast.core.wire import name_lookup
 from socast.core.wire.message_block import Bytes, MessageBlock

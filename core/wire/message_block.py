@@ -9,10 +9,10 @@ from itertools import compress, repeat
 from typing import Any, Final, NamedTuple, overload
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Ints
+from socast.core.compiled_cache import njit
 from socast.core.wire.messages import Message
 
 PADDING: Final = 32

@@ -3,10 +3,10 @@
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import NO_RIDE, Floats, Ints, Lanes, grown
+from socast.core.compiled_cache import njit
 from socast.core.wire.messages import IDENTITY
 
 NAME: Final = 64

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats, grown
+from socast.core.compiled_cache import njit
 from socast.core.wire.message_block import KeyValues, MessageBlock
 from socast.core.wire.messages import Message
 

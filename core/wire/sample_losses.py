@@ -3,10 +3,10 @@
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Batch, Ints, Lanes, grown, take_lanes
+from socast.core.compiled_cache import njit
 
 SAMPLE_LOSS: Final = np.dtype(
     [

@@ -9,7 +9,8 @@ https://github.com/Cyan4973/xxHash/blob/dev/doc/xxhash_spec.md.
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from socast.core.compiled_cache import njit
 
 _P1, _P2, _P3, _P4, _P5 = (
     np.uint64(prime)

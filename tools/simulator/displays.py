@@ -7,9 +7,9 @@ the physics integrates.
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
+from socast.core.compiled_cache import njit
 from socast.tools.simulator.cars import Car
 from socast.tools.simulator.conditions import ABSENT, FROZEN, JUMPING
 from socast.tools.simulator.physics import State

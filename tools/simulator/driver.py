@@ -3,10 +3,10 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
 from socast.core.columns import KMH
+from socast.core.compiled_cache import njit
 from socast.tools.simulator.settings import STEP
 from socast.tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 

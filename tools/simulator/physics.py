@@ -13,10 +13,10 @@ All parts are electric powers at the terminals of the battery, so that they add 
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, ZERO_CELSIUS
+from socast.core.compiled_cache import njit
 from socast.tools.simulator.cars import Car
 from socast.tools.simulator.settings import STEP, Phenomena
 from socast.tools.simulator.shift import CHARGER

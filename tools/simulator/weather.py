@@ -11,10 +11,10 @@ from operator import attrgetter
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.compiled_cache import njit
 from socast.core.wire.messages import Message, Weather, encode
 from socast.tools.simulator.conditions import Spell
 from socast.tools.simulator.settings import UTC_OFFSET, Simulation

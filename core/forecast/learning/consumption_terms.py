@@ -16,10 +16,10 @@ from math import isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats, replace_nan
 from socast.core.columns import GRAVITY, JOULES_PER_KWH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.compiled_cache import njit
 from socast.core.vehicles import ACCESSORIES, VehicleModel
 
 FASTEST: Final = 0.4

@@ -9,10 +9,9 @@ from math import isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from socast.core.batch import Floats
-from socast.core.compiled_cache import watch_sources
+from socast.core.compiled_cache import njit, watch_sources
 from socast.core.forecast.learning import consumption_terms
 from socast.core.forecast.learning.consumption_terms import (
     DRIVING,

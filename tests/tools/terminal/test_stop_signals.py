@@ -12,8 +12,9 @@ from tests.support.signal_handlers import ASKING, keep_handlers
 
 @pytest.fixture(autouse=True)
 def handlers():
-    """Return to the handlers of signals of before."""
+    """Begin with the handlers of Python, and return to those of before."""
     with keep_handlers():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         yield
 
 

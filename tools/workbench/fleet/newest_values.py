@@ -4,10 +4,10 @@ from math import nan
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Ints
+from socast.core.compiled_cache import njit
 from socast.core.wire.live_fields import list_live_fields
 from socast.core.wire.messages import Forecast
 from socast.core.wire.sample_reader import SampleColumns
