@@ -9,12 +9,16 @@ from random import Random
 from threading import Event, Thread
 from typing import Any
 
+from zenoh import CongestionControl
+
 from socast.core.wire.messages import Message
 from socast.stream.zenoh_history import CacheHistory, merge_samples
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
+
+BLOCK = CongestionControl.BLOCK
 
 LATEST_S = 2.0
 """Longest time from a sample to the loop while strangers do what they like. [s]"""
@@ -165,7 +169,7 @@ def test_storage_returns_in_order_what_came_and_went_before_the_start():
     with RouterProcess() as router, router.join() as node, router.join() as other, storing(other.session) as kept:
         with router.join() as taxi:  # without a cache, and gone before the consumer comes
             for payload in sent:
-                taxi.session.put("fleet/a/telemetry", payload)
+                taxi.session.put("fleet/a/telemetry", payload, congestion_control=BLOCK)  # else it drops some
             taxi.flush()
         assert eventually(lambda: len(kept) == len(sent))
         history = CacheHistory(node, ("weather/**", "fleet/**"))
