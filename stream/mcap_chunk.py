@@ -25,16 +25,8 @@ from socast.stream.mcap_format import MESSAGE_HEAD, RECORD
 
 ZSTD: Final = b"zstd"
 """Compression of chunks."""
-_HEAD: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        *((name, "<u8") for name in ("log_time", "publish_time")),
-        ("first_byte", "u1"),
-    ]
-)
+_HEAD_FIELDS: Final = "opcode", "length", "channel", "sequence", "log_time", "publish_time", "first_byte"
+_HEAD: Final = np.dtype(list(zip(_HEAD_FIELDS, ("u1", "<u8", "<u2", "<u4", "<u8", "<u8", "u1"), strict=True)))
 """Start of a message record as in `MESSAGE_HEAD`, and the byte after it."""
 _INDEX_HEAD: Final = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("size", "<u4"), ("first_byte", "u1")]
@@ -58,10 +50,8 @@ class PackedChunk(NamedTuple):
 
     Parameters
     ----------
-    record : bytes
-        The chunk record.
-    indexes : memoryview
-        Message index records, one of each channel.
+    record, indexes : bytes, memoryview
+        The chunk record, and the message index records, one of each channel.
     channels, counts, places : (channels,) int
         Numbers of the channels, of their messages, and the place of the index of each in `indexes`. [B]
     span : tuple of int
@@ -83,9 +73,8 @@ class PackedChunk(NamedTuple):
         """Return the chunk index record of a chunk that begins at a place of the file, which its indexes follow."""
         places = np.empty(len(self.channels), _PLACE)
         places["channel"], places["place"] = self.channels, self.places + offset + len(self.record)
-        begin = _CHUNK_INDEX.pack(*self.span, offset, len(self.record), places.nbytes)
-        end = _CHUNK_INDEX_END.pack(len(self.indexes), len(ZSTD), ZSTD, self.packed_size, self.size)
-        body = begin + places.tobytes() + end
+        body = _CHUNK_INDEX.pack(*self.span, offset, len(self.record), places.nbytes) + places.tobytes()
+        body += _CHUNK_INDEX_END.pack(len(self.indexes), len(ZSTD), ZSTD, self.packed_size, self.size)
         return RECORD.pack(Opcode.CHUNK_INDEX, len(body)) + body
 
 
@@ -126,15 +115,13 @@ class ChunkBuilder:
         for for_viewers, blocks in self._blocks.items():
             block = MessageBlock.join(blocks)
             numbers, at = np.unique(block.columns.key, return_inverse=True)
-            keys = block.columns.keys
-            used = [channels[for_viewers][keys[number]] for number in numbers.tolist()]
+            used = [channels[for_viewers][block.columns.keys[number]] for number in numbers.tolist()]
             for record in [each for channel in used for each in records[channel - 1]]:
                 if record not in described:
                     described.add(record)
                     parts.append(record)
-            begin = sum(map(len, parts))
             data, entries = _make_records(block, np.array(used)[at])
-            entries["offset"] += np.uint64(begin)
+            entries["offset"] += np.uint64(sum(map(len, parts)))
             parts.append(data)
             rows.append(entries)
         return _pack(b"".join(parts), np.concatenate(rows), compress) if rows else None
@@ -144,10 +131,8 @@ def _make_records(block: MessageBlock, channels: Ints) -> tuple[memoryview, NDAr
     """Return the records of messages on their channels, and the rows of their index."""
     columns = block.columns
     heads = np.zeros(len(columns.sizes), _HEAD)
-    heads["opcode"] = Opcode.MESSAGE
-    heads["length"] = columns.sizes + MESSAGE_HEAD.size - RECORD.size
-    heads["channel"] = channels
-    heads["log_time"] = block.receipt_ns
+    heads["opcode"], heads["length"] = Opcode.MESSAGE, columns.sizes + MESSAGE_HEAD.size - RECORD.size
+    heads["channel"], heads["log_time"] = channels, block.receipt_ns
     heads["publish_time"] = _find_publish_times(block)
     records, places = _interleave(heads, columns.text, columns.starts, columns.sizes)
     entries = np.empty(len(places), _ENTRY)
@@ -157,8 +142,7 @@ def _make_records(block: MessageBlock, channels: Ints) -> tuple[memoryview, NDAr
 
 def _pack(data: bytes, entries: NDArray[np.void], compress: Compressor) -> PackedChunk:
     """Return the chunk of records and the rows of their index."""
-    packed, times = compress(data), entries["log_time"]
-    first, last = int(times.min()), int(times.max())
+    packed, first, last = compress(data), int(entries["log_time"].min()), int(entries["log_time"].max())
     record = encode_record(Chunk(ZSTD.decode(), packed, last, first, zlib.crc32(data), len(data)))
     entries = entries[np.argsort(entries["channel"], kind="stable")]
     text = np.zeros((len(entries) + PADDING, 2), "<u8")
@@ -180,17 +164,15 @@ def _interleave(heads: NDArray[np.void], text: Bytes, starts: Ints, sizes: Ints)
     `PADDING` bytes after the last span.
     """
     heads["first_byte"] = text[starts]
-    for each in (heads, text):
-        each.flags.writeable = False  # as the kernel is compiled for
+    heads.flags.writeable = text.flags.writeable = False  # as the kernel is compiled for
     head_sizes = np.full_like(sizes, heads.itemsize)
     lengths = sizes + heads.itemsize - 1
     places = np.cumsum(lengths) - lengths
-    size = int(lengths.sum())
-    out = np.empty(size + PADDING, np.uint8)
-    copy_spans(get_words(text), starts, sizes, places + heads.itemsize - 1, get_words(out))
-    head_starts = np.cumsum(head_sizes) - heads.itemsize
-    copy_spans(get_words(heads.view(np.uint8)), head_starts, head_sizes, places, get_words(out))
-    return out.data[:size], places
+    out = np.empty(int(lengths.sum()) + PADDING, np.uint8)
+    words, head_starts = get_words(out), np.cumsum(head_sizes) - heads.itemsize
+    copy_spans(get_words(text), starts, sizes, places + heads.itemsize - 1, words)
+    copy_spans(get_words(heads.view(np.uint8)), head_starts, head_sizes, places, words)
+    return out.data[:-PADDING], places
 
 
 def encode_record(record: Any) -> bytes:

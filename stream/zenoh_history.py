@@ -396,8 +396,7 @@ def _find_time(sample: Any) -> float:
         return int(str(sample.timestamp).partition("/")[0])
     payload = sample.payload.to_bytes()
     try:
-        is_batch = payload.startswith(PREFIX)
-        time_s = float(read_times(payload, _MOST_ROWS)[0]) if is_batch else read_time(payload)
+        time_s = float(read_times(payload, _MOST_ROWS)[0]) if payload.startswith(PREFIX) else read_time(payload)
     except (*UNREADABLE, BatchError, IndexError):
         return -inf
     return time_s * 2.0**32 if isfinite(time_s) else -inf
