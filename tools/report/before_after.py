@@ -169,7 +169,7 @@ def _find_range(one: CarSeries) -> tuple[float, float]:
     levels = 100.0 * np.array([*one.level_before.level, *one.level_after.level])
     reach = FAR * float(np.median(np.abs(days - np.median(days)))) + 1.0
     low, high = float(levels.min()) - reach, float(levels.max()) + reach
-    shown = days[(days >= low) & (days <= high)]
+    shown = np.concatenate([days[(days >= low) & (days <= high)], levels])
     room = MARGIN * float(np.ptp(shown)) + 1.0
     return max(low, float(shown.min()) - room), min(high, float(shown.max()) + room)
 

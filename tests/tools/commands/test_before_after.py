@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from socast.core.errors import SettingsError
 from socast.tools.commands.before_after import read_spans
+from socast.tools.report.before_after import _find_range
 from tests.support.commands import called, done, refused
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.paths import RECORDINGS
@@ -132,3 +134,9 @@ def test_days_on_without_vehicles_are_those_of_all_cars(tmp_path):
     file = tmp_path / "on.csv"
     file.write_text("begin,end\n2018-11-10,2018-11-12\n")
     assert [each.vehicle_id for each in read_spans(file, ("a", "b"))] == ["a", "b"]
+
+
+def test_figure_of_days_that_are_all_far_from_their_levels_shows_the_levels():
+    path = SimpleNamespace(level=[0.1])
+    low, high = _find_range(SimpleNamespace(deviation=[0.0] * 9 + [10.0], level_before=path, level_after=path))
+    assert low <= 10.0 <= high
