@@ -7,6 +7,7 @@ of the published one. A plan or ride that cannot be used gets a message with the
 import re
 from collections.abc import Mapping
 from math import inf, isfinite, isnan, nan
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import msgspec
@@ -55,6 +56,19 @@ CHARGE_LIMITS: Final = {
     "charge_to_soc_pct": LegLimit(100.0, "percent of the battery"),
 }
 """Limit of each field of a charge."""
+
+
+class ShownParameter(NamedTuple):
+    """Say what the user of a surface calls a quantity of a leg, and how many of the wire's units his unit is."""
+
+    name: str
+    unit: str
+    factor: float = 1.0
+
+
+ShownParameters = Mapping[str, ShownParameter]
+"""Field of a leg -> what a surface calls it; where it is not named, messages have the field of the wire."""
+AS_ON_WIRE: Final[ShownParameters] = MappingProxyType({})
 
 
 class _QueryPlan(Wire):
@@ -114,7 +128,7 @@ def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal 
     return _find_time_refusal(plan.shift_end_s, now_s, ahead_s)
 
 
-def find_leg_fault(leg: Leg) -> str | None:
+def find_leg_fault(leg: Leg, shown: ShownParameters = AS_ON_WIRE) -> str | None:
     """Return a message about a ride that cannot be driven, or a charge that cannot be; None for one that can.
 
     Examples
@@ -127,16 +141,27 @@ def find_leg_fault(leg: Leg) -> str | None:
     """
     if fault := _find_kind_fault(leg):
         return fault
-    for name, (most, unit) in (CHARGE_LIMITS if leg.distance_km is None else LEG_LIMITS).items():
+    for name, limit in (CHARGE_LIMITS if leg.distance_km is None else LEG_LIMITS).items():
         value = getattr(leg, name)
-        if value is not None and not 0.0 <= value <= most:
-            return f"{name} is {value:g}, must be 0 to {most:g}; give {unit}"
+        if value is not None and not 0.0 <= value <= limit.most:
+            words, unit, factor = shown.get(name, ShownParameter(name, limit.unit))
+            return f"{words} is {value / factor:g}, must be 0 to {limit.most / factor:g}; give {unit}"
     if leg.distance_km is not None and leg.distance_km * 3600.0 > FASTEST_KMH * leg.duration_s:
         return (
             f"{leg.distance_km:g} km in {leg.duration_s / 60.0:.3g} min are more than {FASTEST_KMH:g} km/h: "
-            "check distance_km and duration_s"
+            f"check {_name_both(shown)}"
         )
     return None
+
+
+def _name_both(shown: ShownParameters) -> str:
+    """Return the names of the parameters that a ride needs."""
+    return " and ".join(_get_shown(name, shown).name for name in ("distance_km", "duration_s"))
+
+
+def _get_shown(name: str, shown: ShownParameters) -> ShownParameter:
+    """Return how a surface shows a parameter of a ride."""
+    return shown.get(name, ShownParameter(name, LEG_LIMITS[name].unit))
 
 
 def _find_kind_fault(leg: Leg) -> str | None:
@@ -207,8 +232,10 @@ def parse_parameters(text: str) -> dict[str, str]:
     return out
 
 
-def parse_leg(given: Mapping[str, str]) -> Leg | None:
+def parse_leg(given: Mapping[str, str], shown: ShownParameters = AS_ON_WIRE) -> Leg | None:
     """Return the ride that a query defines; None for a query about the shift as planned.
+
+    Messages name the parameters as they are `shown`.
 
     Examples
     --------
@@ -222,11 +249,13 @@ def parse_leg(given: Mapping[str, str]) -> Leg | None:
         return None
     for name in ("distance_km", "duration_s"):
         if name not in given:
-            raise AskError(f"{name} is not given; a ride needs distance_km and duration_s", "parameters")
-    leg = Leg(**{name: _parse_number(name, text) for name, text in given.items()})
+            missing, both = _get_shown(name, shown).name, _name_both(shown)
+            raise AskError(f"{missing} is not given; a ride needs {both}", "parameters")
+    leg = Leg(**{name: _parse_number(name, text, shown) for name, text in given.items()})
     if leg.duration_s == 0.0:
-        raise AskError("duration_s is 0, must be above 0; give seconds", "out_of_range")
-    if fault := find_leg_fault(leg):
+        words, unit, _ = _get_shown("duration_s", shown)
+        raise AskError(f"{words} is 0, must be above 0; give {unit}", "out_of_range")
+    if fault := find_leg_fault(leg, shown):
         raise AskError(fault, "out_of_range")
     return leg
 
@@ -260,12 +289,13 @@ def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
     return plan
 
 
-def _parse_number(name: str, text: str) -> float:
+def _parse_number(name: str, text: str, shown: ShownParameters) -> float:
     """Return the value of a parameter."""
-    most, unit = LEG_LIMITS[name]
+    words, unit, factor = _get_shown(name, shown)
+    most = LEG_LIMITS[name].most / factor
     value = float(text) if _NUMBER.fullmatch(text) else nan
     if not isfinite(value):
-        raise AskError(f"{name} is {_quote(text)}, must be a number from 0 to {most:g}; give {unit}", "parameters")
+        raise AskError(f"{words} is {_quote(text)}, must be a number from 0 to {most:g}; give {unit}", "parameters")
     return value
 
 

@@ -14,7 +14,7 @@ from socast.core.errors import SettingsError, read_input
 from socast.core.files import UNREADABLE
 from socast.core.formatting import format_count
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
-from socast.core.wire.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
+from socast.core.wire.plan_checks import ShownParameter, ShownParameters, parse_leg, parse_plan, parse_vehicle
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, print_plain, write_json
@@ -28,8 +28,13 @@ LEAST_KWH: Final = 0.05
 """Energy of waiting from which it is shown. [kWh]"""
 SURE_CAPACITY: Final = 0.1
 """Relative standard deviation of the usable capacity below which the consumption of a car is shown. [1]"""
-LONGEST_MIN: Final = LEG_LIMITS["duration_s"].most / 60.0
-"""Longest duration of a ride. [min]"""
+OPTIONS: Final[ShownParameters] = {
+    "distance_km": ShownParameter("--distance-km", "kilometres"),
+    "duration_s": ShownParameter("--duration-min", "minutes", 60.0),
+    "gained_m": ShownParameter("--gained-m", "metres"),
+    "lost_m": ShownParameter("--lost-m", "metres"),
+}
+"""The options of a ride."""
 LONGEST_S: Final = 3600.0
 """Longest permitted wait for an answer. [s]"""
 _CLOCK: Final = "%H:%M %Z"
@@ -76,11 +81,13 @@ def ask_outlook(
     """
     console = make_console(json_file)
     zone = find_zone(time_zone, console)
-    given = _list_parameters(distance_km, duration_min, gained_m, lost_m)
+    duration_s = None if duration_min is None else 60.0 * duration_min
+    ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
+    given = {name: f"{value:.12g}" for name, value in ride.items() if value is not None}
     check_outputs([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
     parse_plan(payload, parse_vehicle(vehicle))  # report mistakes before a query is sent
-    parse_leg(given)
+    parse_leg(given, OPTIONS)
     if not 0.0 < timeout_s <= LONGEST_S:
         raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
     joined = Connection((connect,) if connect else (), mode="client", prefix=prefix, config=config)
@@ -157,20 +164,6 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         )
     if outlook.why_not:
         yield "not known", outlook.why_not
-
-
-def _list_parameters(
-    distance_km: float | None, duration_min: float | None, gained_m: float | None, lost_m: float | None
-) -> dict[str, str]:
-    """Return the parameters of the query; refuse a ride without distance or duration, in the words of the options."""
-    duration_s = None if duration_min is None else 60.0 * duration_min
-    ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
-    given = {name: f"{value:.12g}" for name, value in ride.items() if value is not None}
-    if given and not {"distance_km", "duration_s"} <= set(given):
-        raise SettingsError("a ride needs both --distance-km and --duration-min")
-    if duration_min is not None and not 0.0 < duration_min <= LONGEST_MIN:
-        raise SettingsError(f"--duration-min is {duration_min:g}, must be above 0 and at most {LONGEST_MIN:g} min")
-    return given
 
 
 def _read(path: Path) -> bytes:

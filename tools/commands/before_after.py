@@ -1,8 +1,10 @@
 """Run `socast before-after`: estimate whether a repair or another campaign changed the consumption of cars."""
 
+from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
-from typing import Annotated, TextIO
+from types import MappingProxyType
+from typing import Annotated, Final, TextIO
 
 import pandas as pd
 import typer
@@ -33,6 +35,10 @@ from socast.tools.terminal.output import (
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import Rides, RideSource
 
+OPTIONS: Final[Mapping[str, str]] = MappingProxyType(
+    {name: f"--{name}" for name in ("vehicles", "at", "until", "days", "toggle", "plan")}
+)
+"""Parameter of a campaign -> what the command line calls it in messages."""
 VEHICLE = "vehicle_id"
 SPANS = (("begin", "end"), ("from", "to"))
 """Columns of a file of days on; the last day is on too, and may be empty for days on until the end."""
@@ -111,38 +117,48 @@ def read_campaign(
     toggle: Path | TextIO | None = None,
     what: str = "",
     plan: str | None = None,
+    names: Mapping[str, str] = OPTIONS,
 ) -> Campaign:
-    """Return the campaign that the options describe; `toggle` may also be an open file."""
+    """Return the campaign that the parameters describe; messages call them by `names`.
+
+    `toggle` may also be an open file.
+    """
     cars = split_names(vehicles)
     sizes = tuple(sorted({*SIZES, *([parse_size(plan)] if plan else [])}))
     if toggle is not None:
-        if beside := [f"--{name}" for name, value in {"at": at, "until": until, "days": days}.items() if value]:
+        if beside := [names[name] for name, value in {"at": at, "until": until, "days": days}.items() if value]:
             raise SettingsError(
-                f"{beside[0]} is given with --toggle, whose file holds all dates; leave one of them out"
+                f"{beside[0]} is given with {names['toggle']}, which holds all dates; leave one of them out"
             )
-        spans = read_spans(toggle, cars)
+        spans = read_spans(toggle, cars, names["toggle"])
         return Campaign(
             cars or tuple(dict.fromkeys(span.vehicle_id for span in spans)), None, None, None, spans, what, sizes
         )
     refuse(
-        (not cars, "the cars that were repaired are not named (--vehicles): give them, such as taxi-005"),
+        (not cars, f"the cars that were repaired are not named ({names['vehicles']}): give them, such as taxi-005"),
         (
             at is None and plan is None,
-            "the date of the repair is missing (--at): give it, such as 2018-11-20, or a size to plan for (--plan 3%)",
+            f"the date of the repair is missing ({names['at']}): give it, such as 2018-11-20"
+            + (f", or a size to plan for ({names['plan']} 3%)" if "plan" in names else ""),
         ),
     )
     first, last = (
         None if each is None else parse_date(name, each).toordinal()
-        for name, each in (("--at", at), ("--until", until))
+        for name, each in ((names["at"], at), (names["until"], until))
     )
     if last is not None and (first is None or last <= first):
-        raise SettingsError(f"--until is {until}, and must be after --at{f', {at}' if at else ''}: give a later date")
+        raise SettingsError(
+            f"{names['until']} is {until}, and must be after {names['at']}{f', {at}' if at else ''}: give a later date"
+        )
     return Campaign(cars, first, last, days, (), what, sizes)
 
 
-def read_spans(file: Path | TextIO, cars: tuple[str, ...] = ()) -> tuple[CampaignSpan, ...]:
-    """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign."""
-    path = file if isinstance(file, Path) else "the text of days on"
+def read_spans(file: Path | TextIO, cars: tuple[str, ...] = (), name: str = "") -> tuple[CampaignSpan, ...]:
+    """Return the days on of a CSV file; without a column of vehicles, they are those of all cars of the campaign.
+
+    Messages call an open file by its `name`.
+    """
+    path = file if isinstance(file, Path) else name
     table = read_csv(file, str(path))
     columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)
     if columns is None or (VEHICLE not in table and not cars):

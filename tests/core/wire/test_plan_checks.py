@@ -15,6 +15,7 @@ from socast.core.wire.plan_checks import (
     MOST_BYTES,
     MOST_LEGS,
     PAST_S,
+    ShownParameter,
     find_leg_fault,
     find_refusal,
     is_outdated,
@@ -209,6 +210,24 @@ def test_unusable_ride_is_refused_in_one_line(changed, message):
         parse_leg(RIDE | changed)
     assert message in str(caught.value)
     assert one_line(caught.value)
+
+
+def test_messages_have_the_words_and_units_of_the_surface():
+    shown = {
+        "distance_km": ShownParameter("Distance", "kilometres"),
+        "duration_s": ShownParameter("Duration", "h", 3600.0),
+    }
+    for leg, words in (
+        ({"distance_km": "18"}, "Duration is not given; a ride needs Distance and Duration"),
+        (RIDE | {"distance_km": "-3"}, "Distance is -3, must be 0 to 1000; give kilometres"),
+        (RIDE | {"duration_s": "90000"}, "Duration is 25, must be 0 to 24; give h"),
+        (RIDE | {"duration_s": "0"}, "Duration is 0, must be above 0; give h"),
+        (RIDE | {"duration_s": "60"}, "18 km in 1 min are more than 200 km/h: check Distance and Duration"),
+        (RIDE | {"duration_s": "long"}, "Duration is 'long', must be a number from 0 to 24; give h"),
+    ):
+        with pytest.raises(AskError) as caught:
+            parse_leg(leg, shown)
+        assert str(caught.value) == words
 
 
 @pytest.mark.parametrize("given", [{"distance_km": "18"}, {"duration_s": "1500"}, {"gained_m": "4"}])

@@ -110,9 +110,13 @@ def test_unknown_figures_are_left_out(without):
     ("arguments", "message"),
     [
         (("taxi 7",), "'taxi 7'"),
-        (("taxi-7", "--distance-km", "18"), "--duration-min"),
-        (("taxi-7", "--distance-km", "18", "--duration-min", "1500"), "--duration-min is 1500, must be above 0 and"),
-        (("taxi-7", "--distance-km=-3", "--duration-min", "25"), "distance_km is -3"),
+        (("taxi-7", "--distance-km", "18"), "a ride needs --distance-km and --duration-min"),
+        (("taxi-7", "--distance-km", "18", "--duration-min", "1"), "check --distance-km and --duration-min"),
+        (
+            ("taxi-7", "--distance-km", "18", "--duration-min", "1500"),
+            "--duration-min is 1500, must be 0 to 1440; give minutes",
+        ),
+        (("taxi-7", "--distance-km=-3", "--duration-min", "25"), "--distance-km is -3"),
         (("taxi-7", "--distance-km", "nan", "--duration-min", "25"), "'nan'"),
         (("taxi-7", *RIDE, "--plan", "nowhere.json"), "nowhere.json cannot be read"),
         (("taxi-7", *RIDE, "--plan", "{tmp}/rubbish.json"), "no plan"),

@@ -10,6 +10,7 @@ import numpy as np
 
 from socast.core.errors import SocastError
 from socast.core.forecast.soc_filter import SHIFT_GAP
+from socast.core.wire.plan_checks import ShownParameter, ShownParameters, parse_leg
 from socast.tools.commands.ask import figures, verdict
 from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import POINT, Board
@@ -21,8 +22,13 @@ MOST_SHOWN: Final = 600
 """Largest number of points of a history that a page receives; more are thinned out."""
 MOST_RIDES: Final = 50
 """Largest number of rides of a car that a page receives, the newest."""
-RIDE_FIELDS: Final = ("distance_km", "duration_s", "gained_m", "lost_m")
-"""Fields of the ride of a question."""
+RIDE_FORM: Final[ShownParameters] = {
+    "distance_km": ShownParameter("Distance", "kilometres"),
+    "duration_s": ShownParameter("Duration", "minutes", 60.0),
+    "gained_m": ShownParameter("Climb", "metres"),
+    "lost_m": ShownParameter("Descent", "metres"),
+}
+"""Parameters of the ride of a question, as the form of the page names them."""
 
 
 def get_fleet(workbench: Workbench) -> FleetSource:
@@ -78,8 +84,9 @@ def answer_question(workbench: Workbench, request: JsonRequest) -> dict[str, Any
 
     The times in it are in the zone of the parameter `zone`.
     """
-    given = {name: request.parameters[name] for name in RIDE_FIELDS if request.parameters.get(name)}
+    given = {name: request.parameters[name] for name in RIDE_FORM if request.parameters.get(name)}
     vehicle_id = request.path["car"]
+    parse_leg(given, RIDE_FORM)  # report mistakes in the words of the form
     outlook = get_fleet(workbench).ask(vehicle_id, given)
     word, sentence = verdict(outlook)
     zone = request.parameters.get("zone") or "UTC"

@@ -1,7 +1,7 @@
 """Records of the page about the condition of cars: trends, where the energy goes, and what a repair changed."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from socast.core.condition.campaign import Campaign
 from socast.core.condition.energy_split import split_energy
@@ -10,6 +10,9 @@ from socast.tools.commands.before_after import evaluate_campaign
 from socast.tools.workbench.loop.command_lines import before_after_commands, condition_commands
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.workspace import Workspace
+
+REPAIR_FORM: Final = {"vehicles": "Vehicles", "at": "Date", "until": "Last date", "toggle": "Days on"}
+"""Parameters of a campaign, as the form of the page names them."""
 
 
 def describe_condition(workspace: Workspace, node: ModelNode, found: FleetCondition) -> dict[str, Any]:

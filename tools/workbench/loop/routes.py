@@ -151,7 +151,12 @@ def _compare_repair(workbench: Workbench, request: JsonRequest) -> dict[str, Any
     )
     days_on = condition.complete_days_on(str(body.get("days_on") or ""))
     campaign = read_campaign(
-        vehicles, at or None, until or None, toggle=StringIO(days_on) if days_on else None, what=what
+        vehicles,
+        at or None,
+        until or None,
+        toggle=StringIO(days_on) if days_on else None,
+        what=what,
+        names=condition.REPAIR_FORM,
     )
 
     def compare(report: Report) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import { FleetSocket } from "./socket.js";
 
 const REFRESH_MS = { replay: 1000, live: 2500 };
 const QUESTION = { km: "distance_km", min: "duration_s", up: "gained_m", down: "lost_m" };
-const FIELDS = { distance_km: "Distance", duration_s: "Duration", gained_m: "Climb", lost_m: "Descent" };
 const CAUSES = {
   repaired_time: "times repaired", rejected_speed: "speeds rejected", duplicate: "duplicates", gap: "gaps", out_of_range: "values out of range",
 };
@@ -247,14 +246,9 @@ class CarPage {
         ...(answer.command ? [el("p", { class: "note small" }, "The same on the command line:"), el("code", { class: "command" }, answer.command)]
           : [el("p", { class: "note small" }, "On the command line, socast ask answers for a live service only.")]));
     } catch (error) {
-      if (error.name !== "AbortError") this.answer.replaceChildren(el("p", { class: "bad", role: "alert" }, nameFields(error.message)));
+      if (error.name !== "AbortError") this.answer.replaceChildren(el("p", { class: "bad", role: "alert" }, error.message));
     }
   }
-}
-
-// A message with the names that the form shows.
-function nameFields(message) {
-  return Object.entries(FIELDS).reduce((words, [name, label]) => words.replaceAll(name, label), message);
 }
 
 function range(low, high, digits) {

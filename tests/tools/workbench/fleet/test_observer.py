@@ -89,6 +89,12 @@ def test_question_goes_to_the_service(observed):
     assert observer.get_parts("taxi-7") is None
 
 
+def test_wrong_question_is_refused_in_the_words_of_the_form(observed):
+    request = SimpleNamespace(path={"car": "taxi-7"}, parameters={"distance_km": "18", "duration_s": "90000"})
+    with pytest.raises(AskError, match="Duration is 1500, must be 0 to 1440; give minutes"):
+        answer_question(SimpleNamespace(fleet=observed[0]), request)
+
+
 def test_page_of_a_live_service_shows_the_command_that_gives_the_same_answer(observed, capsys):
     observer, _, _ = observed
     parameters = {"distance_km": "18", "duration_s": "1500", "zone": "America/Montreal"}

@@ -84,13 +84,13 @@ def test_date_to_come_has_no_change_and_no_placebo_distribution(client):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"at": "10.11."}, "--at is '10.11.'; give a date such as"),
-        ({"at": ""}, "is missing (--at)"),
-        ({"vehicles": " , "}, "not named (--vehicles)"),
-        ({"until": "2018-11-01"}, "--until is 2018-11-01, and must be after --at, 2018-11-10"),
+        ({"at": "10.11."}, "Date is '10.11.'; give a date such as"),
+        ({"at": ""}, "is missing (Date): give it, such as 2018-11-20"),
+        ({"vehicles": " , "}, "not named (Vehicles)"),
+        ({"until": "2018-11-01"}, "Last date is 2018-11-01, and must be after Date, 2018-11-10"),
         ({"model": "none"}, "none"),
-        ({"days_on": "2018-11-10,2018-11-12"}, "--at is given with --toggle"),
-        ({"at": "", "days_on": "2018-11-10,12.11."}, "the text of days on, line 2: end is '12.11.'"),
+        ({"days_on": "2018-11-10,2018-11-12"}, "Date is given with Days on"),
+        ({"at": "", "days_on": "2018-11-10,12.11."}, "Days on, line 2: end is '12.11.'"),
         ({"at": "", "days_on": "since,until"}, "its header must be vehicle_id,begin,end"),
     ],
 )

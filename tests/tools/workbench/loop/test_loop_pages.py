@@ -303,7 +303,7 @@ def test_event_of_all_cars_compares_all_of_them_and_errors_are_one_line(visit):
     page.get_by_role("alert").get_by_text("did you mean taxi-001").wait_for()
     form.get_by_label("Date [UTC]", exact=True).fill("")
     submit.click()
-    page.get_by_role("alert").get_by_text("is missing (--at)").wait_for()
+    page.get_by_role("alert").get_by_text("is missing (Date)").wait_for()
     page.locator(".answer dl").wait_for(state="detached")
 
 
