@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
+from socast.core.condition.energy_parts import UNEXPLAINED
 from socast.core.condition.energy_split import (
     MEASURED,
-    UNEXPLAINED,
     CarEnergyFactor,
     EnergySaving,
     EnergyShare,
