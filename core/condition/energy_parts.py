@@ -88,25 +88,26 @@ class PredictionParts(NamedTuple):
         """Terms whose energy while the car stands is in `WAITING`."""
         return {term.name for term, share in zip(self.model.terms, self.standing.T, strict=True) if share.any()}
 
-    def compute_half_widths(self, rows: NDArray[np.bool_]) -> dict[str, float]:
-        """Return half of the known 95 % intervals by part, and that of the whole prediction as `UNEXPLAINED`. [kWh]
+    def compute_half_widths(self) -> dict[str, float]:
+        """Return half of the 95 % intervals by part of all rides, and that of their prediction as `UNEXPLAINED`. [kWh]
 
-        There are none for a model without standard errors, and none of climbing where no ride has heights.
+        There are none for a model without standard errors, and none of climbing where no ride has heights. They say
+        nothing of single cars or months, which differ from the mean of all rides by more.
         """
         squares = defaultdict[str, float](float)
-        for key in set(self.keys[rows]):
+        for key in set(self.keys):
             covariance = self.model.fits[key].covariance
             if covariance is None:
                 return {}
             width = float(compute_half_widths(1.0, max(find_freedom(self.model, key), 1)))
-            for name, weights in self._weigh(rows & (self.keys == key)).items():
+            for name, weights in self._weigh(self.keys == key).items():
                 squares[name] += width**2 * max(float(weights @ np.array(covariance) @ weights), 0.0)
         halves = {name: sqrt(each) for name, each in squares.items()}
         terms = {term.name: term for term in self.model.terms}
         for name in self.energies.keys() & halves.keys():
             drag = name in terms and is_air_drag(terms[name])
-            form = (DRAG_FORM_ERROR if drag else FORM_ERROR) * float(self.energies[name][rows].sum())
-            climbs = 2.0 * self._spread_climbs(name, rows) if name in terms and _climbs(terms[name]) else 0.0
+            form = (DRAG_FORM_ERROR if drag else FORM_ERROR) * float(self.energies[name].sum())
+            climbs = 2.0 * self._spread_climbs(name) if name in terms and _climbs(terms[name]) else 0.0
             halves[name] = hypot(halves[name], form, climbs)
         return {name: half for name, half in halves.items() if isfinite(half)}
 
@@ -122,9 +123,9 @@ class PredictionParts(NamedTuple):
             weights[BRAKING][[slower, faster]] += paid, -paid
         return weights | {WAITING: standing.sum(axis=0), UNEXPLAINED: columns.sum(axis=0)}
 
-    def _spread_climbs(self, name: str, rows: NDArray[np.bool_]) -> float:
+    def _spread_climbs(self, name: str) -> float:
         """Return the root mean square of what rides without heights took, NaN where no ride has heights. [kWh]"""
-        count = int((self.without_heights & rows).sum())
+        count = int(self.without_heights.sum())
         known = self.energies[name][~self.without_heights]
         if not (count and len(known)):
             return nan if count else 0.0

@@ -200,13 +200,14 @@ def split_energy(
         raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
     chosen = select_rides(rides, {model.name: model})
     parts = split_predictions(model, chosen)
-    fleet = _sum_group(FLEET, np.ones(len(chosen.rides), np.bool_), chosen, parts, price)
+    every = np.ones(len(chosen.rides), np.bool_)
+    fleet = _sum_group(FLEET, every, chosen, parts, price, halves=parts.compute_half_widths())
     order = [share.name for share in fleet.shares]
     labels = list(zip(*(_name_by(chosen.rides, way) for way in ways), strict=True))
     groups = []
     for label in sorted(set(labels)):
         rows = np.array([each == label for each in labels])
-        group = _sum_group(", ".join(label), rows, chosen, parts, price, order)
+        group = _sum_group(", ".join(label), rows, chosen, parts, price, order=order)
         groups.append(replace(group, of=dict(zip(ways, label, strict=True))))
     scale = _Scale(fleet.measured.energy_kwh.value or 0.0, fleet.distance_km, price)
     savings, impossible = list[EnergySaving](), list[str]()
@@ -272,13 +273,15 @@ def _sum_group(
     chosen: ComparedRides,
     parts: PredictionParts,
     price: float | None,
+    *,
     order: list[str] | None = None,
+    halves: Mapping[str, float] = MappingProxyType({}),
 ) -> GroupEnergy:
     """Return where the energy of a group of rides went, in the given order or with the largest part first."""
     rides = chosen.rides[rows]
     measured, distance = float(chosen.measured[rows].sum()), float(rides["distance_km"].sum())
     scale = _Scale(measured, distance, price)
-    halves, driving = parts.compute_half_widths(rows), parts.split_terms
+    driving = parts.split_terms
     sums = {part: float(energy[rows].sum()) for part, energy in parts.energies.items()}
     shares = [
         EnergyShare(

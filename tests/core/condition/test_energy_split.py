@@ -135,6 +135,13 @@ def test_intervals_follow_from_the_covariance_of_the_fit_and_from_what_no_data_r
     assert halves[UNEXPLAINED] == pytest.approx(np.sqrt(np.sum(np.square(of_all))))
 
 
+def test_groups_have_no_intervals_because_they_differ_from_the_mean_of_all_rides():
+    model = with_covariance(fitted(1.0, 1.0, 1.0, 1.0, 1.0), [0.1] * 5)
+    result = split_energy(planted(100), model, by="car")
+    assert None not in half_widths(result.fleet).values()
+    assert {half for group in result.groups for half in half_widths(group).values()} == {None}
+
+
 def test_climbing_is_less_certain_where_heights_are_unknown():
     table, model = planted(200), with_covariance(fitted(1.0, 1.0, 1.0, 1.0, 1.0), [0.0] * 5)
     known = half_widths(split_energy(table, model).fleet)["climbing"]

@@ -36,7 +36,7 @@ def result(written):
 
 
 def test_json_holds_parts_that_add_up_to_the_measured_energy(result, shift_tables):
-    assert result.pop("format") == {"report": "waterfall", "version": 2}
+    assert result.pop("format") == {"report": "waterfall", "version": 3}
     assert msgspec.convert(result, EnergySplit).price == 0.12
     rides = pd.read_parquet(shift_tables / "rides.parquet")
     fit = rides[rides["fit_for_training"]]
