@@ -61,9 +61,9 @@ SAVING_FIELDS: Final = ("what", "energy_kwh", "share", "per_100km_kwh", "range_k
 PRICE_FIELDS: Final = ("cost", "cost_per_100km")
 NOTE: Final = (
     "The parts add up to the measured energy. ±: half of the 95 % interval, where the model holds standard errors: by "
-    "these, by what no data reduce (5 %, of air drag 20 %), and by unknown heights. km: the energy of the part over the "
-    "present mean consumption. Negative: given back, to the motion or to the battery; of what is unexplained, that the "
-    "model predicts too much. waiting: what acts over time, such as heating, while the car stands within rides."
+    "these, by what no data reduce (5 %, of air drag 20 %), and by unknown heights. km: the energy of the part over "
+    "the present mean consumption. Negative: given back, to the motion or to the battery; of what is unexplained, that "
+    "the model predicts too much. waiting: what acts over time, such as heating, while the car stands within rides."
 )
 
 
