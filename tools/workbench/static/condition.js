@@ -160,5 +160,5 @@ function drawEnergy(energy) {
     el("h2", {}, "Where the energy goes"),
     el("p", {}, `${number(energy.measured.energy_kwh.value, 1)} kWh over ${number(energy.distance_km)} km: ${number(energy.measured.per_100km_kwh.value, 2)} kWh/100 km. Of this, in kWh/100 km:`),
     el("div", { class: "shares" }, energy.shares.map(bar)),
-    el("p", { class: "note small" }, "Negative: given back to the motion or to the battery. The parts add up to the measured energy. ±: half of the 95 % interval."));
+    el("p", { class: "note small" }, `Negative: given back to the motion or to the battery. The parts add up to the measured energy.${energy.shares.some((share) => share.per_100km_kwh.ci95) ? " ±: half of the 95 % interval." : ""}`));
 }
