@@ -28,8 +28,8 @@ ABOUT: Final = (
     "snap 15 K below everything before, or a heat wave 10 K above; the other fleets whose names begin so have six "
     "cars over 25 days, in each of which something else goes wrong. `small` has three cars over 20 days, two of them "
     "with aged packs. `preset` is the fleet of the paper, 8,000 rides. Errors are in per cent of charge; scores are "
-    "relative to those of the regression on earlier days. Coverage is uncertain by about 2 points, that of a single day "
-    "or of twenty shifts by 10."
+    "relative to those of the regression on earlier days. Coverage is uncertain by about 2 points, that of one day or "
+    "of twenty shifts by 10."
 )
 """What the table shows."""
 REAL_HOURS: Final = 3.0
