@@ -241,7 +241,7 @@ def assess_condition(rides: pd.DataFrame, model: LinearModel, *, events: str | P
     Returns
     -------
     FleetCondition
-        What `socast condition --json` writes, as attributes, the worst car first; `.table` has one row for each car.
+        What `socast condition --json` writes, as attributes, cars with a finding first; `.table` has a row of each.
 
     Raises
     ------

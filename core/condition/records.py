@@ -74,7 +74,7 @@ class CarCondition(PartialRecord, frozen=True):
 
 
 class FleetCondition(Record, frozen=True):
-    """Hold how the cars of a fleet are doing, the worst first."""
+    """Hold how the cars of a fleet are doing, those with a finding first."""
 
     model: Annotated[str, declare("Name of the model that predicts the energy.")]
     rides: int

@@ -26,7 +26,7 @@ def show_condition(
 
     The consumption of each day is compared with what the model predicts and with the other cars of the vehicle model on
     the same dates, so that weather and traffic count little. The usable capacity is that of the energy by voltage and
-    current over the fall of the display. The worst car comes first.
+    current over the fall of the display. Cars with a finding come first.
 
     Examples
     --------

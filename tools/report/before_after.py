@@ -1,5 +1,6 @@
 """Show whether the consumption of cars changed with a campaign: in the terminal, and as a page."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from operator import itemgetter
 from typing import Any, Final
@@ -14,7 +15,15 @@ from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarCha
 from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus, word_date
 from socast.tools.report.document import Illustration, Report, Section, print_report
-from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
+from socast.tools.report.figure_style import (
+    DATES,
+    add_reference_line,
+    escape_label,
+    find_robust_range,
+    get_style,
+    make_figure,
+    tell_outside,
+)
 from socast.tools.report.table import (
     FORMATS,
     ReportTable,
@@ -32,10 +41,6 @@ PLACEBOS: Final = (
     "that of the model, it widens the interval. Neighbouring dates share most of their days, so the number of "
     "independent placebo campaigns is smaller."
 )
-FAR: Final = 6.0
-"""Distance from the levels, in medians of it, beyond which a day is outside the figure."""
-MARGIN: Final = 0.03
-"""Room beyond the outermost days, of their range, so that no marker is cut."""
 BINS: Final = 31
 """Number of bars of the placebo campaigns."""
 
@@ -148,34 +153,29 @@ def _tabulate_placebos(result: BeforeAfter) -> ReportTable:
 
 def _illustrate_days(result: BeforeAfter) -> list[Illustration]:
     """Return a figure of the days of each car."""
-    drawn = []
+    if not result.series:
+        return []
+    drawn, (low, high) = [], _find_range(result.series)
     for place, one in enumerate(result.series):
-        low, high = _find_range(one)
         outside = sum(not low <= 100.0 * each <= high for each in one.deviation)
         dashed = "" if result.at is None else " Dashed: the date."
-        beyond = f" Outside the figure: {count_things(outside, 'day')}." if outside else ""
         caption = (
             "Points: measured over predicted energy of a day, beside the other cars and the car before. Lines: "
-            f"their smoothed mean with its 90 % band.{dashed}{beyond}"
+            f"their smoothed mean with its 90 % band.{dashed}{tell_outside(outside)}"
         )
         title = f"{one.vehicle_id}, day by day"
-        drawn.append(Illustration(f"days-{place}", title, caption, draw_days(result, one)))
+        drawn.append(Illustration(f"days-{place}", title, caption, draw_days(result, one, (low, high))))
     return drawn
 
 
-def _find_range(one: CarSeries) -> tuple[float, float]:
-    """Return the range of the figure, which holds all days but those far off. [%]"""
-    days = 100.0 * np.array(one.deviation)
-    levels = 100.0 * np.array([*one.level_before.level, *one.level_after.level])
-    reach = FAR * float(np.median(np.abs(days - np.median(days)))) + 1.0
-    low, high = float(levels.min()) - reach, float(levels.max()) + reach
-    shown = np.concatenate([days[(days >= low) & (days <= high)], levels])
-    room = MARGIN * float(np.ptp(shown)) + 1.0
-    return max(low, float(shown.min()) - room), min(high, float(shown.max()) + room)
+def _find_range(series: Sequence[CarSeries]) -> tuple[float, float]:
+    """Return the range that the figures of all cars have, so that they can be compared. [%]"""
+    levels = [path.level for one in series for path in (one.level_before, one.level_after)]
+    return find_robust_range(100.0 * np.concatenate([one.deviation for one in series]), 100.0 * np.concatenate(levels))
 
 
-def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:
-    """Return a figure of the daily deviation of a car from its siblings over the date."""
+def draw_days(result: BeforeAfter, one: CarSeries, shown: tuple[float, float]) -> go.Figure:
+    """Return a figure of the daily deviation of a car from its siblings over the date, in the `shown` range. [%]"""
     traces: list[Any] = []
     for place, (path, side) in enumerate(zip((one.level_before, one.level_after), SIDES, strict=True)):
         name, look = side[1 if result.at is None else 0], get_style(side[2])
@@ -198,8 +198,8 @@ def draw_days(result: BeforeAfter, one: CarSeries) -> go.Figure:
                 line={"color": look.colour, "width": 2.5, "dash": "solid" if place else "dash"},
             ),
         ]
-    y = {"title_text": "consumption beside siblings [%]", "range": _find_range(one)}
-    figure = make_figure(traces, 420, x={"title_text": "date [UTC]"}, y=y)
+    y = {"title_text": "consumption beside siblings [%]", "range": shown}
+    figure = make_figure(traces, 420, x=DATES, y=y)
     if result.at is not None:
         milliseconds = 1000.0 * datetime.fromisoformat(result.at).replace(tzinfo=UTC).timestamp()
         add_reference_line(figure, escape_label(result.what or result.at), milliseconds)

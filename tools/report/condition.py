@@ -2,18 +2,31 @@
 
 from collections.abc import Sequence
 from datetime import date
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 from rich.console import Console
 from rich.text import Text
 
+from socast.core.condition.car_condition import LEAST_DAYS
+from socast.core.condition.car_days import LEAST_FALL
 from socast.core.condition.records import CarCondition, CarEvent, ConditionStep, FleetCondition, Trend
 from socast.core.formatting import format_minus, word_date, word_since
 from socast.core.records import ConfidenceInterval
 from socast.core.stats.scores import NORMAL_95
 from socast.tools.report.document import Illustration, Report, Section, print_section
-from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, get_style, make_figure
+from socast.tools.report.figure_style import (
+    DATES,
+    REFERENCE_LINE,
+    Style,
+    apply_layout,
+    escape_label,
+    find_robust_range,
+    get_style,
+    tell_outside,
+)
 from socast.tools.report.table import UNKNOWN, ReportTable, format_count, tabulate
 
 TITLE: Final = "Condition of the cars"
@@ -22,23 +35,33 @@ MOST_DESCRIBED: Final = 8
 MOST_DRAWN: Final = 24
 """Number of cars that have a figure."""
 NOTE: Final = (
-    "Consumption: measured energy over that of the model, beside the mean of the other cars of the vehicle model on "
-    "the same dates, as of the last date; a car without two siblings is compared with the model alone, and the weather "
-    "that the model lacks then counts as the car's. Rate: change without sudden ones; a dash where the dates are too "
-    "few. Usable: capacity at mild temperature, of that of the catalogue. In parentheses: 95 % intervals."
+    "Days: dates with a consumption/with a usable capacity. Consumption: measured energy over "
+    "that of the model, beside the mean of the other cars of the vehicle model on the same dates, as of the last date; "
+    "a car without two siblings is compared with the model alone, and the weather that the model lacks then counts as "
+    "the car's. Rate: change without sudden ones; a dash where the dates are too few. Usable: capacity at mild "
+    "temperature as of the last date, of that of the catalogue, from rides of known voltage and current; a dash where "
+    f"the display fell by {LEAST_FALL:g} % or more on fewer than {LEAST_DAYS} dates. In parentheses: 95 % intervals."
 )
 STEP_NOTE: Final = (
-    "Changed: the first date after a sudden change whose probability is at least 80 %. Cars with a finding come first, "
-    "and of these the one that takes most."
+    "Changed: the first date after a sudden change whose probability is at least 80 %. Cars with a finding come first: "
+    "those that take more or less beyond the interval, changed, change or lack capacity. Among them, and among the "
+    "others, the one that takes most comes first."
 )
 LEAST_COLD_LOSS: Final = 0.02
 """Least loss of capacity in the cold that is told. [%/K]"""
-BAND_NOTE: Final = "Band: 95 % interval of the level."
+FIGURE_NOTE: Final = (
+    "Points: days. Line: their level, with its 95 % interval as a band. Consumption is beside the siblings, usable "
+    "capacity beside the catalogue. All cars have the same axes."
+)
 EVENT_NOTE: Final = "Dotted vertical lines: known events."
 CLEAR: Final = "as expected, within the interval."
 """What is said of a car without a finding."""
 ROWS: Final = 3
 """Largest number of rows of words of events above a figure; further events have a line alone, and stand below it."""
+HEIGHT: Final = 280
+"""Height of the figure of a car with one quantity. [px]"""
+PANEL: Final = 150
+"""Height that a second one adds. [px]"""
 ROW_PX: Final = 15
 """Height of such a row. [px]"""
 LONGEST: Final = 24
@@ -50,7 +73,7 @@ ROOM: Final = 40
 
 
 def show(result: FleetCondition, console: Console) -> None:
-    """Print the table of cars, and then the worst cars in words."""
+    """Print the table of cars, and then those with a finding in words."""
     report = build_report(result)
     print_section(report.sections[0]._replace(title=TITLE), console)
     for line in report.lead:
@@ -62,8 +85,8 @@ def build_report(result: FleetCondition) -> Report:
     drawn, cars = min(MOST_DRAWN, len(result.cars)), len(result.cars)
     title = "Each car" if drawn == cars else f"The first {drawn} of {cars} cars"
     sections = [
-        Section("cars", "All cars", _describe_data(result), [tabulate_cars(result)]),
-        Section("each", title, f"{BAND_NOTE} {EVENT_NOTE}" if _has_events(result) else BAND_NOTE, []),
+        Section("cars", "All cars", describe_data(result), [tabulate_cars(result)]),
+        Section("each", title, f"{FIGURE_NOTE} {EVENT_NOTE}" if _has_events(result) else FIGURE_NOTE, []),
     ]
     if _has_events(result):
         sections.append(Section("events", "Known events", "", [_tabulate_events(result)]))
@@ -71,7 +94,7 @@ def build_report(result: FleetCondition) -> Report:
     return Report("condition", "condition", TITLE, sections, describe_fleet(result), (), result, figures)
 
 
-def _describe_data(result: FleetCondition) -> str:
+def describe_data(result: FleetCondition) -> str:
     """Return what the condition is of, in a few sentences."""
     rides = ", ".join(f"{n:,} {why}" for why, n in result.left_out.items())
     days, share = result.car_days_left_out, 100.0 * result.energy_left_out
@@ -92,7 +115,10 @@ def describe_fleet(result: FleetCondition) -> list[str]:
     found = [car for car in result.cars if car.has_finding]
     unknown = [car.vehicle_id for car in result.cars if car.consumption is None]
     rest = len(result.cars) - len(found) - sum(car.consumption is None and not car.has_finding for car in result.cars)
-    lines = [" ".join([describe_car(car), *_list_known(car.events)]) for car in found[:MOST_DESCRIBED]]
+    lines = [
+        " ".join([describe_car(car, result.last_date), *describe_known(car, car.events)])
+        for car in found[:MOST_DESCRIBED]
+    ]
     if more := len(found) - MOST_DESCRIBED:
         lines += [f"{more} more {'car differs' if more == 1 else 'cars differ'}: see the table."] if more > 0 else []
     if rest:
@@ -138,18 +164,26 @@ def _name_event(event: CarEvent) -> str:
     return f"{event.what or 'event'} on {word_date(event.date)}"
 
 
-def describe_car(car: CarCondition) -> str:
-    """Return what is found of a car in a sentence, empty where nothing is."""
-    parts = []
+def describe_known(car: CarCondition, events: Sequence[CarEvent]) -> list[str]:
+    """Return a sentence with the events that the words of a car do not hold, nothing without any."""
+    steps = [step for trend in (car.consumption, car.capacity) if trend for step in trend.steps]
+    told = {(each.date, each.what) for step in steps for each in step.events}
+    return _list_known([each for each in events if (each.date, each.what) not in told])
+
+
+def describe_car(car: CarCondition, last_date: str) -> str:
+    """Return what is found of a car in a sentence, empty where nothing is; levels are those of the last date."""
+    parts, then = [], f"as of {word_date(last_date)}"
     if (trend := car.consumption) is not None:
         if trend.ci95_pct[0] > 0.0 or trend.ci95_pct[1] < 0.0:
             beside = "its siblings" if car.siblings else "the model predicts"
-            parts.append(f"takes {_word_change(trend.level_pct, trend.ci95_pct)} than {beside}")
+            parts.append(f"takes {_word_change(trend.level_pct, trend.ci95_pct)} than {beside} {then}")
         parts += [f"takes {_word_step(step)}" for step in trend.steps]
         parts += [f"takes {rate} each year" for rate in _word_rate(trend)]
     if (trend := car.capacity) is not None:
         if trend.ci95_pct[1] < 0.0:
-            parts.append(f"its battery holds {_word_change(trend.level_pct, trend.ci95_pct)} than in the catalogue")
+            change = _word_change(trend.level_pct, trend.ci95_pct)
+            parts.append(f"its battery holds {change} than in the catalogue {then}")
         parts += [f"its battery holds {_word_step(step)}" for step in trend.steps]
         parts += [f"its battery holds {rate} each year" for rate in _word_rate(trend)]
     return f"{car.vehicle_id}: {'; '.join(parts)}." if parts else ""
@@ -182,11 +216,11 @@ def tabulate_cars(result: FleetCondition) -> ReportTable:
     """Return a row for each car."""
     rows = [(car.vehicle_id, car) for car in result.cars]
     return tabulate(
-        "Cars, the worst first",
+        "Cars, those with a finding first",
         "car",
         rows,
         [
-            ("days", lambda car: format_count(car.consumption.days if car.consumption else None)),
+            ("days", _count_days),
             ("consumption, %", _format_level),
             ("rate, %/year", lambda car: _format_rate(car.consumption)),
             ("changed", _list_changes),
@@ -218,6 +252,12 @@ def _tabulate_events(result: FleetCondition) -> ReportTable:
 def _format_days(event: CarEvent) -> str:
     """Return how many days after the nearest step an event is."""
     return UNKNOWN if event.days_after_step is None else format_minus(f"{event.days_after_step:+d}")
+
+
+def _count_days(car: CarCondition) -> str:
+    """Return the number of dates with a consumption, and of those with a capacity where it is told."""
+    days = format_count(car.consumption.days if car.consumption else None)
+    return f"{days}/{format_count(car.capacity.days)}" if car.capacity else days
 
 
 def _format_usable(car: CarCondition) -> str:
@@ -255,74 +295,116 @@ def _list_changes(car: CarCondition) -> str:
     return format_minus(", ".join(changes)) or UNKNOWN
 
 
+class Frame(NamedTuple):
+    """Hold the axes that the figures of all cars have, so that they can be compared.
+
+    Parameters
+    ----------
+    consumption, capacity : tuple of float, optional
+        Range of the days and levels; None where no car has any. [%]
+    """
+
+    first_date: str
+    last_date: str
+    consumption: tuple[float, float] | None
+    capacity: tuple[float, float] | None
+
+
+def find_frame(result: FleetCondition) -> Frame:
+    """Return the axes of the figures of all cars."""
+
+    def find_range(trends: Sequence[Trend | None]) -> tuple[float, float] | None:
+        known = [each for each in trends if each is not None]
+        if not known:
+            return None
+        days, levels = (
+            np.array([value for values in of for value in values if value is not None])
+            for of in ([each.measured_pct for each in known], [each.path_pct for each in known])
+        )
+        return find_robust_range(days, levels)
+
+    ranges = (find_range([getattr(car, name) for car in result.cars]) for name in ("consumption", "capacity"))
+    return Frame(result.first_date, result.last_date, *ranges)
+
+
+def count_outside(car: CarCondition, frame: Frame) -> int:
+    """Return the number of dates of a car with a value outside the figure."""
+    parts = ((car.consumption, frame.consumption), (car.capacity, frame.capacity))
+    return len(
+        {
+            date
+            for trend, ends in parts
+            if trend and ends
+            for date, value in zip(trend.dates, trend.measured_pct, strict=True)
+            if value is not None and not ends[0] <= value <= ends[1]
+        }
+    )
+
+
 def _illustrate(result: FleetCondition) -> list[Illustration]:
     """Return a figure of each of the first cars."""
-    return [
-        Illustration(
-            f"car-{place}",
-            car.vehicle_id,
-            " ".join([describe_car(car) or f"{car.vehicle_id}: {CLEAR}", *_list_known([*car.events, *result.events])]),
-            draw_car(car, result.events),
-            small=True,
-        )
-        for place, car in enumerate(result.cars[:MOST_DRAWN])
-    ]
+    frame, drawn = find_frame(result), []
+    for place, car in enumerate(result.cars[:MOST_DRAWN]):
+        words = describe_car(car, result.last_date) or f"{car.vehicle_id}: {CLEAR}"
+        caption = " ".join([words, *describe_known(car, [*car.events, *result.events])])
+        caption += tell_outside(count_outside(car, frame))
+        figure = draw_car(car, frame, result.events)
+        drawn.append(Illustration(f"car-{place}", car.vehicle_id, caption, figure, small=True))
+    return drawn
 
 
-def draw_car(car: CarCondition, of_all: Sequence[CarEvent] = ()) -> go.Figure:
-    """Return a figure of the consumption and the usable capacity of a car over the dates, with known events."""
-    traces: list[dict[str, Any]] = []  # plotly checks traces of its own types twice
-    parts = (("consumption", car.consumption, 2, "solid"), ("usable capacity", car.capacity, 4, "dot"))
-    for name, trend, place, dash in parts:  # the reference line is dashed
-        if trend is None:
-            continue
-        look = get_style(place)
-        middle = [each or 0.0 for each in trend.path_pct]
-        spread = [NORMAL_95 * (each or 0.0) for each in trend.path_sd_pct]
-        band = [m + s for m, s in zip(middle, spread, strict=True)]
-        band += [m - s for m, s in zip(reversed(middle), reversed(spread), strict=True)]
-        traces += [
-            {
-                "x": [*trend.dates, *reversed(trend.dates)],
-                "y": band,
-                "fill": "toself",
-                "mode": "none",
-                "fillcolor": look.colour,
-                "opacity": 0.25,
-                "showlegend": False,
-                "hoverinfo": "skip",
-            },
-            {
-                "x": trend.dates,
-                "y": trend.measured_pct,
-                "mode": "markers",
-                "marker": {"size": 5, "color": look.colour, "symbol": look.symbol, "opacity": 0.6},
-                "name": f"{name}, day",
-            },
-            {
-                "x": trend.dates,
-                "y": middle,
-                "mode": "lines",
-                "line": {"color": look.colour, "dash": dash},
-                "name": name,
-            },
-        ]
-    made = make_figure(traces, 280, x={"title_text": "date [UTC]"}, y={"title_text": "beside expected [%]"})
+def draw_car(car: CarCondition, frame: Frame, of_all: Sequence[CarEvent] = ()) -> go.Figure:
+    """Return a figure of a car over the dates: its consumption, below it its usable capacity, and known events."""
+    parts = (
+        ("consumption", car.consumption, frame.consumption, 2),
+        ("usable capacity", car.capacity, frame.capacity, 4),
+    )
+    known = [part for part in parts if part[1] is not None] or list(parts[:1])
+    made = make_subplots(rows=len(known), cols=1, shared_xaxes=True, vertical_spacing=0.08)
+    apply_layout(made, HEIGHT + PANEL * (len(known) - 1))
+    for row, (name, trend, ends, place) in enumerate(known, start=1):
+        if trend is not None:
+            made.add_traces(_draw_trend(name, trend, get_style(place)), rows=row, cols=1)
+        made.update_yaxes(title_text=f"{name} [%]", range=ends, nticks=5, row=row, col=1)
+    made.update_xaxes(**DATES | {"title_text": None})
+    made.update_xaxes(title_text=DATES["title_text"], row=len(known), col=1)
     made.add_hline(y=0.0, line=REFERENCE_LINE)
-    days = [each for trend in (car.consumption, car.capacity) if trend for each in trend.dates]
-    _mark_events(made, sorted([*car.events, *of_all], key=lambda each: each.date), days)
+    events = sorted([*car.events, *of_all], key=lambda each: each.date)
+    _mark_events(made, events, (frame.first_date, frame.last_date))
     return made
 
 
-def _mark_events(made: go.Figure, events: Sequence[CarEvent], days: Sequence[str]) -> None:
-    """Draw events as dotted vertical lines through a figure of these dates, with their words in rows above it.
+def _draw_trend(name: str, trend: Trend, look: Style) -> list[dict[str, Any]]:
+    """Return the band, the days and the level of a quantity; plotly checks traces of its own types twice."""
+    middle = [each or 0.0 for each in trend.path_pct]
+    spread = [NORMAL_95 * (each or 0.0) for each in trend.path_sd_pct]
+    band = [m + s for m, s in zip(middle, spread, strict=True)]
+    band += [m - s for m, s in zip(reversed(middle), reversed(spread), strict=True)]
+    marker = {"size": 5, "color": look.colour, "symbol": look.symbol, "opacity": 0.6}
+    return [
+        {
+            "x": [*trend.dates, *reversed(trend.dates)],
+            "y": band,
+            "fill": "toself",
+            "mode": "none",
+            "fillcolor": look.colour,
+            "opacity": 0.25,
+            "showlegend": False,
+            "hoverinfo": "skip",
+        },
+        {"x": trend.dates, "y": trend.measured_pct, "mode": "markers", "marker": marker, "name": f"{name}, day"},
+        {"x": trend.dates, "y": middle, "mode": "lines", "line": {"color": look.colour}, "name": name},
+    ]
+
+
+def _mark_events(made: go.Figure, events: Sequence[CarEvent], ends: tuple[str, str]) -> None:
+    """Draw events as dotted vertical lines through a figure from one date to another, with words in rows above it.
 
     The last event is lowest, so that the lines of the others pass to the left of its words.
     """
-    if not events:
-        return
-    places = [date.fromisoformat(each).toordinal() for each in (*days, *(event.date for event in events))]
-    first, room = min(places) - 1, max(places) - min(places) + 2
+    first, last = (date.fromisoformat(each).toordinal() for each in ends)
+    first, room = first - 1, last - first + 2
+    made.update_xaxes(range=[date.fromordinal(each).isoformat() for each in (first, first + room)])
     rows: list[list[tuple[float, float]]] = [[] for _ in range(ROWS)]
     line = {**REFERENCE_LINE, "dash": "dot"}
     for event in reversed(events):
@@ -363,4 +445,3 @@ def _mark_events(made: go.Figure, events: Sequence[CarEvent], days: Sequence[str
     above = ROW_PX * sum(map(bool, rows))
     made.layout.margin.t = above + 18
     made.layout.height += above
-    made.update_xaxes(range=[date.fromordinal(each).isoformat() for each in (first, first + room)])

@@ -9,11 +9,14 @@ from html import escape
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import plotly.graph_objects as go
 import plotly.io
 from plotly.subplots import make_subplots
 
+from socast.core.batch import Floats
 from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.formatting import format_count
 from socast.tools.report.evaluation.result import WAYS, get_recipes, get_title, list_vehicle_models
 
 plotly.io.templates.default = None  # `LAYOUT` stands for it
@@ -66,6 +69,13 @@ LAYOUT: Final[dict[str, object]] = {
 AXIS: Final[dict[str, object]] = {"automargin": True, "zeroline": False, "ticks": "outside"}
 """Properties of every axis."""
 REFERENCE_LINE: Final = {"dash": "dash", "width": 1.5, "color": "#8a8a8a"}
+
+DATES: Final = {"title_text": "date [UTC]", "tickformat": "%-d %b %y", "nticks": 5}
+"""Properties of an axis of dates, which are written as in the workbench."""
+FAR: Final = 6.0
+"""Distance from the levels, in medians of it, beyond which a day is outside its figure."""
+MARGIN: Final = 0.03
+"""Room beyond the outermost days, of their range, so that no marker is cut."""
 
 PAPER_NAME: Final = "the paper's (other data)"
 """Name of the paper's figures in legends."""
@@ -160,6 +170,20 @@ def apply_layout(made: go.Figure, height: int) -> go.Figure:
     for axis in made.select_yaxes():
         axis.title.standoff = 12
     return made
+
+
+def find_robust_range(values: Floats, levels: Floats) -> tuple[float, float]:
+    """Return the range of a figure that holds all levels, and all values but those far off."""
+    reach = FAR * float(np.median(np.abs(values - np.median(values)))) + 1.0
+    low, high = float(levels.min()) - reach, float(levels.max()) + reach
+    shown = np.concatenate([values[(values >= low) & (values <= high)], levels])
+    room = MARGIN * float(np.ptp(shown)) + 1.0
+    return max(low, float(shown.min()) - room), min(high, float(shown.max()) + room)
+
+
+def tell_outside(number: int) -> str:
+    """Return how many days are outside a figure as the end of its caption, nothing where none is."""
+    return f" Outside the figure: {format_count(number, 'day')}." if number else ""
 
 
 def find_limit(values: Sequence[float], ends: Sequence[float], widest: float) -> float:

@@ -1,4 +1,4 @@
-"""The condition of a fleet names the car that changed, puts the worst first, and finds the usable capacity."""
+"""The condition of a fleet names the car that changed, has cars with a finding first, and finds the usable capacity."""
 
 import numpy as np
 import pandas as pd
@@ -9,6 +9,7 @@ from socast.core.condition import car_condition
 from socast.core.condition.car_condition import assess_condition, follow_beside_siblings
 from socast.core.condition.car_days import CarDays
 from socast.core.errors import ModelError
+from socast.core.formatting import word_date
 from socast.tools.bench.condition_fleets import make_fleet
 from socast.tools.report.condition import describe_fleet
 
@@ -100,7 +101,10 @@ def test_bad_battery_and_unknown_car_are_told(monkeypatch):
     capacity = fleet._replace(value=value, amount=np.full((8, 120), 3600.0))
     found = assess(monkeypatch, fleet, capacity)
     lines = describe_fleet(found)
-    assert any("car-3" in line and "its battery holds 20" in line and "less" in line for line in lines)
+    (line,) = (each for each in lines if "car-3" in each)
+    assert "its battery holds 20" in line
+    assert "less (" in line
+    assert f"than in the catalogue as of {word_date(found.last_date)}" in line
     assert "Too few dates tell of car-1." in lines
 
 

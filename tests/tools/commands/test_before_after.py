@@ -138,5 +138,5 @@ def test_days_on_without_vehicles_are_those_of_all_cars(tmp_path):
 
 def test_figure_of_days_that_are_all_far_from_their_levels_shows_the_levels():
     path = SimpleNamespace(level=[0.1])
-    low, high = _find_range(SimpleNamespace(deviation=[0.0] * 9 + [10.0], level_before=path, level_after=path))
+    low, high = _find_range([SimpleNamespace(deviation=[0.0] * 9 + [10.0], level_before=path, level_after=path)])
     assert low <= 10.0 <= high

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from socast.core.condition.records import CarCondition, CarEvent, Trend
 from socast.core.models import EXTENDED_PHYSICAL
-from socast.tools.report.condition import ROW_PX, ROWS, draw_car
+from socast.tools.report.condition import HEIGHT, ROW_PX, ROWS, Frame, draw_car
 from tests.support.commands import called, done, refused
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 
@@ -113,14 +113,33 @@ def test_known_events_are_marked_in_the_figures(known):
     assert "Known events" in text
 
 
+def test_figures_of_all_cars_have_the_same_axes_and_say_how_many_days_are_outside(written):
+    _, result, page = written
+    text = page.read_text(encoding="utf-8")
+    layouts = [each["layout"] for each in read_figures(text).values()]
+    assert len({tuple(layout["yaxis"]["range"]) for layout in layouts}) == 1
+    low, high = layouts[0]["yaxis"]["range"]
+    outside = {
+        car["vehicle_id"]: sum(not low <= y <= high for y in car["consumption"]["measured_pct"])
+        for car in result["cars"]
+    }
+    assert any(outside.values())
+    assert all((f"Outside the figure: {number} day" in text) for number in outside.values() if number)
+
+
+def test_event_of_a_step_is_told_once(known):
+    printed, _, _ = known
+    assert printed.count("<brakes> on 10 November 2018") == 1
+
+
 def test_many_events_leave_room_for_the_figure():
     car = CarCondition(vehicle_id="a", vehicle_model="m", siblings=0)
     events = [CarEvent(date=f"2018-11-{day:02}", what="a long story of a repair") for day in range(1, 29)]
-    figure = draw_car(replace(car, events=events))
+    figure = draw_car(replace(car, events=events), Frame("2018-11-01", "2018-11-30", None, None))
     lines = {shape.x0 for shape in figure.layout.shapes if shape.x0 == shape.x1}
     assert len(lines) == 28
     assert len(figure.layout.annotations) == ROWS
-    assert figure.layout.height == 280 + ROWS * ROW_PX
+    assert figure.layout.height == HEIGHT + ROWS * ROW_PX
 
 
 def test_level_is_no_dashed_line_as_the_reference_is():
@@ -139,10 +158,10 @@ def test_level_is_no_dashed_line_as_the_reference_is():
         path_sd_pct=[1.0, 1.0],
     )
     car = CarCondition(vehicle_id="a", vehicle_model="m", siblings=0, consumption=trend, capacity=trend)
-    figure = draw_car(car)
+    figure = draw_car(car, Frame("2018-11-01", "2018-11-30", (-5.0, 5.0), (-20.0, 2.0)))
     dashes = {trace.line.dash for trace in figure.data if trace.mode == "lines"}
-    assert len(dashes) == 2
     assert figure.layout.shapes[0].line.dash not in dashes
+    assert [axis.range for axis in figure.select_yaxes()] == [(-5.0, 5.0), (-20.0, 2.0)]
 
 
 def test_file_without_events_is_refused_before_the_rides_are_read(slower, tmp_path, capsys):

@@ -1,11 +1,10 @@
 """Records of the page about the condition of cars: trends, where the energy goes, and what a repair changed."""
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 from socast.core.condition.campaign import Campaign
 from socast.core.condition.energy_split import split_energy
-from socast.core.condition.records import CarCondition, CarEvent, FleetCondition
+from socast.core.condition.records import CarCondition, FleetCondition
 from socast.tools.commands.before_after import evaluate_campaign
 from socast.tools.workbench.loop.command_lines import before_after_commands, condition_commands
 from socast.tools.workbench.loop.model_tree import ModelNode
@@ -16,14 +15,24 @@ REPAIR_FORM: Final = {"vehicles": "Vehicles", "at": "Date", "until": "Last date"
 
 
 def describe_condition(workspace: Workspace, node: ModelNode, found: FleetCondition) -> dict[str, Any]:
-    """Return the trend of each car, the worst first, the parts of the energy, and the commands that do the same."""
-    from socast.tools.report.condition import describe_fleet  # noqa: PLC0415 - the report draws with plotly
+    """Return the condition of each car as `socast condition` says it, the parts of the energy, and these commands."""
+    from socast.tools.report import condition as report  # noqa: PLC0415 - the report draws with plotly
 
-    energy = split_energy(workspace.tables.rides, node.model)
+    energy, frame = split_energy(workspace.tables.rides, node.model), report.find_frame(found)
+    table = report.tabulate_cars(found)
     return {
-        "words": describe_fleet(found),
-        "about": {**found.to_json(), "cars": len(found.cars)},
-        "cars": [_describe_car(car, found.events) for car in found.cars],
+        "words": report.describe_fleet(found),
+        "about": report.describe_data(found),
+        "note": report.FIGURE_NOTE,
+        "frame": frame._asdict(),
+        "cars": [{**_describe_car(car, found), "outside": report.count_outside(car, frame)} for car in found.cars],
+        "table": {
+            "title": table.title,
+            "columns": [table.corner, *table.columns],
+            "numeric": [False, *table.numeric],
+            "rows": [[row.name, *(cell.text for cell in row.cells)] for row in table.rows],
+            "notes": table.all_notes,
+        },
         "energy": energy.fleet.to_json(),
         "commands": condition_commands(workspace, node),
     }
@@ -61,14 +70,16 @@ def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign, da
     }
 
 
-def _describe_car(car: CarCondition, of_all: Sequence[CarEvent]) -> dict[str, Any]:
+def _describe_car(car: CarCondition, found: FleetCondition) -> dict[str, Any]:
     """Return the record of a car with what is found of it in words, and with the events that its chart marks."""
-    from socast.tools.report.condition import describe_car, describe_event  # noqa: PLC0415 - as above
+    from socast.tools.report import condition as report  # noqa: PLC0415 - as above
 
-    marked = [(each, describe_event(each), False) for each in car.events]
-    marked += [(each, f"{describe_event(each)} (all cars)", True) for each in of_all]
+    marked = [(each, report.describe_event(each), False) for each in car.events]
+    marked += [(each, f"{report.describe_event(each)} (all cars)", True) for each in found.events]
     marked.sort(key=lambda one: one[0].date)
     events = [
         {"date": each.date, "what": each.what, "words": words, "of_all": is_of_all} for each, words, is_of_all in marked
     ]
-    return {**car.to_json(), "usable_kwh": car.usable_kwh, "words": describe_car(car), "events": events}
+    words = report.describe_car(car, found.last_date) or f"{car.vehicle_id}: {report.CLEAR}"
+    known = " ".join(report.describe_known(car, [each for each, _, _ in marked]))
+    return {**car.to_json(), "usable_kwh": car.usable_kwh, "words": words, "known": known, "events": events}

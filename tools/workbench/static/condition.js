@@ -3,13 +3,12 @@
 import { makeBeforeAfter, READ_ONLY } from "./before-after.js";
 import { chart } from "./chart.js";
 import { el } from "./dom.js";
-import { count, number, quantity, signed } from "./format.js";
+import { count, number } from "./format.js";
 import { command, fill, getReady, heading, modelChoice, openWorkspace, put, query } from "./loop.js";
 import { extent } from "./scales.js";
 
 const SHOWN = 12;
 const DAY_MS = 86400000;
-const CLEAR = "As expected, within the interval.";
 const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 
 export function mount(root, first, context) {
@@ -28,27 +27,29 @@ export function mount(root, first, context) {
       put(root,
         heading("Condition", `How each car is doing beside its siblings, by ${model}, and where the energy goes.`, modelChoice(workspace, state, context)),
         el("div", { class: "stack" },
-          el("section", { class: "card stack", "aria-label": "Findings" }, record.words.map((line) => el("p", {}, line)), about(record.about)),
-          drawCars(record.cars, model),
-          drawTable(record.cars),
+          el("section", { class: "card stack", "aria-label": "Findings" }, record.words.map((line) => el("p", {}, line)), el("p", { class: "note small" }, record.about)),
+          drawCars(record, model),
+          drawTable(record.table),
           drawEnergy(record.energy),
           command(record.commands)));
     });
   }
 
-  function drawCars(cars, model) {
+  function drawCars({ cars, frame, note }, model) {
     let shown = SHOWN;
     const everyone = cars.map((car) => car.vehicle_id).join(",");
     const host = el("div", { class: "facets" });
     const add = (from) => cars.slice(from, shown).forEach((car) => {
-      const place = el("div", {});
+      const trends = describeTrends(car, frame);
+      const places = trends.map(() => el("div", {}));
       const list = el("div", {});
       const repair = makeBeforeAfter(car.vehicle_id, model, context);
-      host.append(el("div", {}, el("h3", {}, car.vehicle_id), place, el("p", { class: "note small" }, car.words || CLEAR), list, repair.node));
-      const plot = chart(place, describeTrend(car));
-      plots.push(plot, repair);
+      const outside = car.outside > 0 && ` Outside the charts: ${count(car.outside, "day")}.`;
+      host.append(el("div", {}, el("h3", {}, car.vehicle_id), places, el("p", { class: "note small" }, car.words, outside), list, repair.node));
+      const drawn = trends.map((trend, i) => chart(places[i], trend));
+      plots.push(...drawn, repair);
       const choose = !context.session.read_only && (({ date, what, of_all: isOfAll }) => repair.fill({ vehicles: isOfAll ? everyone : car.vehicle_id, what, at: date }));
-      if (car.events.length) list.append(listEvents(car, plot, choose));
+      if (car.events.length) list.append(listEvents(car, drawn, choose));
     });
     const more = cars.length > shown && el("button", { type: "button", onclick: () => {
       const from = shown;
@@ -58,6 +59,7 @@ export function mount(root, first, context) {
     } }, "Show more cars");
     requestAnimationFrame(() => add(0)); // a chart is drawn once its place has a width
     return el("section", { class: "card stack", "aria-label": "Each car" }, el("h2", {}, "Each car"),
+      el("p", { class: "note small" }, note),
       el("p", { class: "note small" }, `“Did a repair help?” compares the days of a car before and after a date, or days on and off. ${context.session.read_only ? READ_ONLY : "A known event fills the form."}`), host, more);
   }
 
@@ -72,39 +74,42 @@ export function mount(root, first, context) {
   };
 }
 
-function about({ rides, car_days: days, first_date: first, last_date: last, day_sd_pct: sd }) {
-  return el("p", { class: "note small" }, `${count(rides, "ride")} on ${count(days, "car-day")} from ${first} to ${last}. `
-    + `On a usual day, the consumption of a car differs from its level by ${quantity(sd, "%", 1)} (standard deviation). Bands: 95 % intervals of the level.`);
+// The charts of a car, one below the other, with the axes that all cars have.
+const PARTS = [["consumption", "--blue", "Consumption"], ["capacity", "--vermilion", "Usable capacity"]];
+
+function describeTrends(car, frame) {
+  const drawn = PARTS.filter(([key]) => car[key]);
+  return (drawn.length ? drawn : PARTS.slice(0, 1)).map((part, place) => describeTrend(car, frame, part, place === 0));
 }
 
-function describeTrend(car) {
-  const parts = [[car.consumption, "--blue", "consumption"], [car.capacity, "--vermilion", "usable capacity"]].filter(([trend]) => trend);
-  const events = car.events.map(({ date, what }) => ({ type: "rule", x: toDay(date), text: what || "event", colour: "--ink-soft", dash: "2 3" }));
-  const dates = [...parts.flatMap(([trend]) => trend.dates), ...car.events.map(({ date }) => date)];
+function describeTrend(car, frame, [key, colour, name], isFirst) {
+  const dates = [frame.first_date, frame.last_date];
+  const events = car.events.map(({ date, what }) => ({ type: "rule", x: toDay(date), text: isFirst && (what || "event"), colour: "--ink-soft", dash: "2 3" }));
   const layers = [{ type: "rule", y: 0 }, ...events];
-  for (const [trend, colour, name] of parts) {
+  const trend = car[key];
+  if (trend) {
     const x = trend.dates.map(toDay);
     const half = trend.path_sd_pct.map((sd) => 1.96 * sd);
     layers.push(
       { type: "area", x, low: trend.path_pct.map((y, i) => y - half[i]), high: trend.path_pct.map((y, i) => y + half[i]), colour },
-      { type: "points", x, y: trend.measured_pct, colour, alpha: 0.45, name: `${name}, day` },
-      { type: "line", x, y: trend.path_pct, colour, name },
+      { type: "points", x, y: trend.measured_pct, colour, alpha: 0.45 },
+      { type: "line", x, y: trend.path_pct, colour },
     );
   }
   return {
-    title: `Condition of ${car.vehicle_id}`,
-    summary: [car.words || CLEAR, ...car.events.map(({ words }) => `Known: ${words}.`)].join(" "),
-    height: 230,
-    x: { label: "Date", unit: "UTC", marks: markDates(dates), domain: events.length && dates.length ? extent([dates.map(toDay)]) : undefined },
-    y: { label: "Beside expected", unit: "%" },
+    title: `${name} of ${car.vehicle_id}`,
+    summary: isFirst ? [car.words, car.known].filter(Boolean).join(" ") : "",
+    height: 190,
+    x: { label: "Date", unit: "UTC", marks: markDates(dates), domain: extent([dates.map(toDay)]) },
+    y: { label: name, unit: "%", domain: frame[key] ?? undefined },
     layers,
   };
 }
 
-// The known events of a car as buttons; one that has the focus or the pointer is marked in the chart, and `choose`
+// The known events of a car as buttons; one that has the focus or the pointer is marked in the charts, and `choose`
 // receives the one that is pressed, where it is given.
-function listEvents(car, plot, choose) {
-  const show = (day) => () => plot.setCursor(day, day !== null);
+function listEvents(car, drawn, choose) {
+  const show = (day) => () => drawn.forEach((plot) => plot.setCursor(day, day !== null));
   const button = (event) => {
     const [mark, unmark] = [show(toDay(event.date)), show(null)];
     return el("button", { type: "button", title: choose && "Compare before and after", onfocus: mark, onclick: () => choose && choose(event), onpointerenter: mark, onpointerleave: unmark, onblur: unmark }, event.words);
@@ -114,7 +119,7 @@ function listEvents(car, plot, choose) {
 
 const toDay = (iso) => Date.parse(iso) / DAY_MS;
 
-// Marks of an axis of days: the beginnings of months, as many as there is room for; else the first and the last date.
+// Marks of an axis of days, from the first date on, as many as there is room for.
 function markDates(dates) {
   return (room) => {
     const days = dates.map(toDay);
@@ -129,21 +134,13 @@ function markDates(dates) {
   };
 }
 
-function drawTable(cars) {
-  const between = (value, ends) => (value === null || value === undefined || !ends ? "–" : `${signed(value, 1)} (${signed(ends[0], 1)} to ${signed(ends[1], 1)})`);
-  const list = (trend, what) => (trend?.steps ?? []).map((step) => `${step.since} ${what}${signed(step.change_pct, 1)} %`);
-  const row = ({ vehicle_id: name, consumption, capacity, usable_kwh: usable, nominal_kwh: nominal }) => el("tr", {},
-    el("th", { scope: "row" }, name),
-    el("td", { class: "number" }, between(consumption?.level_pct, consumption?.ci95_pct)),
-    el("td", { class: "number" }, between(consumption?.rate_pct, consumption?.rate_ci95_pct)),
-    el("td", {}, [...list(consumption, ""), ...list(capacity, "battery ")].join(", ") || "–"),
-    el("td", { class: "number" }, usable === null ? "–" : `${number(usable, 1)} of ${number(nominal, 1)}`),
-    el("td", { class: "number" }, between(capacity?.rate_pct, capacity?.rate_ci95_pct)));
-  const heads = ["Car", "Consumption, %", "Rate, %/year", "Changed", "Usable, kWh", "Battery rate, %/year"];
-  return el("section", { class: "card stack", "aria-label": "All cars" }, el("h2", {}, "All cars"),
+function drawTable({ title, columns, numeric, rows, notes }) {
+  const head = (words, i) => el("th", { scope: "col", class: numeric[i] && "number" }, words[0].toUpperCase() + words.slice(1));
+  const row = ([name, ...cells]) => el("tr", {}, el("th", { scope: "row" }, name), cells.map((text, i) => el("td", { class: numeric[i + 1] && "number" }, text)));
+  return el("section", { class: "card stack", "aria-label": "All cars" }, el("h2", {}, title),
     el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Table of all cars" },
-      el("table", {}, el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col", class: head.includes(",") && "number" }, head)))), el("tbody", {}, cars.map(row)))),
-    el("p", { class: "note small" }, "Beside the mean of the other cars of the vehicle model on the same dates. In parentheses: 95 % intervals. A dash: the dates are too few, or nothing changed suddenly."));
+      el("table", {}, el("thead", {}, el("tr", {}, columns.map(head))), el("tbody", {}, rows.map(row)))),
+    notes.map((words) => el("p", { class: "note small" }, words)));
 }
 
 function drawEnergy(energy) {

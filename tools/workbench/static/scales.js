@@ -4,9 +4,16 @@ import { number } from "./format.js";
 
 const CATEGORY_COLOURS = ["--blue", "--orange", "--green", "--vermilion", "--purple", "--sky", "--ink-soft", "--line-strong"];
 
-// Return round values that cover a range, about `count` of them.
+// Return round values that cover a range, about `count` of them and at least three, so that they are a scale.
 export function ticks(low, high, count = 6) {
   if (!(high > low)) return [low];
+  for (let wanted = count; ; wanted += 1) {
+    const values = spread(low, high, wanted);
+    if (values.length >= 3) return values;
+  }
+}
+
+function spread(low, high, count) {
   const rough = (high - low) / Math.max(count, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((s) => s >= rough - 1e-12);

@@ -243,7 +243,7 @@ def test_condition_describes_each_car_and_where_the_energy_goes(visit):
     assert "unexplained" in energy
     assert "±" not in energy  # the model has no standard errors
     heads = page.get_by_role("region", name="Table of all cars").locator("th.number")
-    assert heads.all_inner_texts() == ["Consumption, %", "Rate, %/year", "Usable, kWh", "Battery rate, %/year"]
+    assert heads.all_inner_texts() == ["Days", "Consumption, %", "Rate, %/year", "Usable, kWh", "Battery rate, %/year"]
     marks = page.locator(".facets .chart").first.locator("text").all_text_contents()
     assert any("Dec 18" in mark for mark in marks)  # the end of the dates has a mark as their beginning has
     page.get_by_text("socast condition").wait_for(state="attached")
@@ -257,7 +257,7 @@ def test_known_events_are_marked_in_the_charts_and_reached_by_keyboard(visit):
     of_car.wait_for()
     assert of_car.get_by_role("button").all_inner_texts()[0] == "update on 1 November 2018 (all cars)"
     assert page.locator(".facets .events").count() == 5
-    chart = page.get_by_role("group", name="Condition of taxi-002")
+    chart = page.get_by_role("group", name="Consumption of taxi-002")
     assert "Known: new tyres on 20 November 2018" in chart.get_attribute("aria-label")
     assert {"update", "new tyres"} <= set(chart.locator("text").all_text_contents())
     of_car.get_by_role("button").nth(0).focus()
