@@ -50,13 +50,22 @@ def compare_before_after(days: CarDays, campaign: Campaign, model: str) -> Befor
     whole = combine_steps(panel, fits, rows, days.models, siblings) if fits else None
     placebo = calibrate_errors(placebos, independent, whole.ratio if whole else None)
     cars = [
-        _make_change(days.cars[row], fit, placebo, panel.value[[row]], states[[row]], int(siblings[row]))
+        _make_change(
+            days.cars[row],
+            fit,
+            placebo,
+            panel.value[[row]],
+            states[[row]],
+            int(siblings[row]),
+            _measure_after(days, [row], states),
+        )
         for row, fit in zip(judged, fits, strict=True)
     ]
     change = None
     if whole is not None:
         name = days.cars[rows[0]] if len(rows) == 1 else "all"
-        change = _make_change(name, whole, placebo, panel.value[rows], states[rows], int(siblings[rows].min()))
+        after = _measure_after(days, rows, states)
+        change = _make_change(name, whole, placebo, panel.value[rows], states[rows], int(siblings[rows].min()), after)
     return BeforeAfter(
         vehicles=[days.cars[row] for row in rows],
         model=model,
@@ -103,7 +112,13 @@ def _check_days(car: str, value: Floats, state: States, campaign: Campaign, *, i
 
 
 def _make_change(
-    name: str, fit: StepFit, placebo: PlaceboSpread, value: Floats, states: States, siblings: int
+    name: str,
+    fit: StepFit,
+    placebo: PlaceboSpread,
+    value: Floats,
+    states: States,
+    siblings: int,
+    per_100km_kwh: float | None,
 ) -> CarChange:
     """Return an estimate with its intervals."""
 
@@ -121,7 +136,17 @@ def _make_change(
         days_before=counts[0],
         days_after=counts[1],
         siblings=siblings,
+        per_100km_kwh=per_100km_kwh,
     )
+
+
+def _measure_after(days: CarDays, rows: list[int], states: States) -> float | None:
+    """Return the measured energy of cars on the days after over their distance, None where unknown. [kWh/100 km]"""
+    if days.distance_km is None:
+        return None
+    measured, km = np.exp(days.consumption.value[rows]) * days.consumption.amount[rows], days.distance_km[rows]
+    used = (states[rows] == AFTER) & np.isfinite(measured)
+    return 100.0 * float(measured[used].sum()) / float(km[used].sum()) if km[used].sum() > 0.0 else None
 
 
 def _make_series(panel: DeviationPanel, split: Series, row: int, car: str, state: States, fit: StepFit) -> CarSeries:

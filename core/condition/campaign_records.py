@@ -19,11 +19,22 @@ class CarChange(Record, frozen=True):
     days_before: Annotated[int, declare("Days with measurements before, or off.", "days before", "count")]
     days_after: Annotated[int, declare("Days with measurements after, or on.", "days after", "count")]
     siblings: Annotated[int, declare("Cars of the same vehicle model to compare with.", "siblings", "count")]
+    per_100km_kwh: Annotated[
+        float | None, declare("Measured energy of the days after over their distance. [kWh/100 km]")
+    ] = None
 
     @property
     def is_shown(self) -> bool:
         """Whether the 90 % interval excludes zero."""
         return self.ci90[0] > 0.0 or self.ci90[1] < 0.0
+
+    @property
+    def extra_per_100km_kwh(self) -> tuple[float, float, float] | None:
+        """What the change makes of the consumption of the days after, with its 90 % interval. [kWh/100 km]"""
+        if self.per_100km_kwh is None:
+            return None
+        extra, low, high = (self.per_100km_kwh * each / (1.0 + each) for each in (self.change, *self.ci90))
+        return extra, low, high
 
 
 class PlaceboCampaign(Record, frozen=True):

@@ -73,6 +73,8 @@ class CarDays(NamedTuple):
         Number of car-days with rides that have no consumption.
     energy_left_out : float
         Their share of the measured energy. [1]
+    distance_km : (n, t) float, optional
+        Distance of a car-day.
     """
 
     cars: list[str]
@@ -83,6 +85,7 @@ class CarDays(NamedTuple):
     cold: Floats
     left_out: int = 0
     energy_left_out: float = 0.0
+    distance_km: Floats | None = None
 
 
 def forget_cars(model: LinearModel) -> LinearModel:
@@ -136,6 +139,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
         total(colder) / np.maximum(falls, 1e-9),
         int(unknown.sum()),
         float(np.abs(measured[unknown]).sum() / np.abs(measured).sum()),
+        total(get_numbers(rides, "distance_km")),
     )
 
 

@@ -9,7 +9,6 @@ from typing import Annotated, Final, TextIO
 import pandas as pd
 import typer
 
-from socast.core import models
 from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
 from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
@@ -21,6 +20,7 @@ from socast.core.models import LinearModel
 from socast.core.settings import Settings
 from socast.tools.commands.spikein import parse_size
 from socast.tools.terminal.cleaning_options import ElevationFiles, insert_cleaning_options
+from socast.tools.terminal.model_comparison import load_as_given
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -94,7 +94,7 @@ def compare(
     """
     source.check(json_file, html_file, models=[model], also=[toggle] if toggle else [])
     campaign = read_campaign(vehicles, at, until, days, toggle, what, plan)
-    loaded = models.load(model)
+    loaded = load_as_given(model)
     result = evaluate_campaign(source.read_rides(loaded.effects, list_car_day_columns(loaded)), loaded, campaign)
     write_json(json_file, "before-after", result)
     show_report("before_after", result, html_file, json_file)

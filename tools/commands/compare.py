@@ -19,9 +19,10 @@ from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
 from socast.core.evaluate.compare.records import Comparison, DatasetContrast, ResidualSurvey, RideTrace
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
-from socast.core.models import BUILT_IN_MODELS, LinearModel
+from socast.core.models import LinearModel
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.model_comparison import name_as_given
 from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, refuse, select_model_files, write_json
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source
@@ -102,7 +103,7 @@ def named(given: Sequence[str]) -> dict[str, LinearModel]:
     """
     if twice := [name for i, name in enumerate(given) if name in given[:i]]:
         raise SettingsError(f"--model {twice[0]} is given twice; give it once")
-    short = [name if name in BUILT_IN_MODELS else Path(name).stem for name in given]
+    short = list(map(name_as_given, given))
     labels = [name if short.count(label) > 1 else label for name, label in zip(given, short, strict=True)]
     return {label: models.load(name) for label, name in zip(labels, given, strict=True)}
 

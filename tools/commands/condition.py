@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from socast.core import models
 from socast.core.condition.car_condition import assess_condition
 from socast.core.condition.car_days import list_car_day_columns
 from socast.core.diagnose.inference.events import read_events
+from socast.tools.terminal.model_comparison import load_as_given
 from socast.tools.terminal.output import EventsFile, HtmlFile, JsonFile, write_json
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
@@ -37,7 +37,7 @@ def show_condition(
     """
     source.check(json_file, html_file, models=[model])
     known = read_events(events) if events else []
-    chosen = models.load(model)
+    chosen = load_as_given(model)
     result = assess_condition(source.read_rides(chosen.effects, list_car_day_columns(chosen)), chosen, known)
     write_json(json_file, "condition", result.to_json())
     show_report("condition", result, html_file, json_file)

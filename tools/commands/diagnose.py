@@ -32,6 +32,7 @@ from socast.core.models.features import EFFECT_PREFIX, FEATURES, list_scope
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.model_comparison import load_as_given
 from socast.tools.terminal.night_watch import PAGE, read_findings, show_changes, write_condition, write_findings
 from socast.tools.terminal.output import (
     EventsFile,
@@ -131,7 +132,7 @@ def diagnose_rides(
     page = condition.with_suffix(PAGE) if condition else None
     refuse((condition is not None and condition == page, f"--condition is {condition}: name a file that ends in .json"))
     source.check(json_file, html_file, suggest, findings, condition, page, out, models=[model])
-    loaded = models.load(model)
+    loaded = models.load(model) if auto else load_as_given(model)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
     known = read_events(events) if events else []

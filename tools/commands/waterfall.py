@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from socast.core import models
 from socast.core.condition.energy_split import FLEET, GROUP_COLUMNS, parse_ways, split_energy
+from socast.tools.terminal.model_comparison import load_as_given
 from socast.tools.terminal.output import HtmlFile, JsonFile, ModelName, write_json
 from socast.tools.terminal.report_output import show_report
 from socast.tools.terminal.ride_source import RideSource, insert_ride_source
@@ -42,7 +42,7 @@ def show_waterfall(
     """
     parse_ways(by)
     source.check(json_file, html_file, models=[model])
-    chosen = models.load(model)
+    chosen = load_as_given(model)
     with source.open_tables(chosen.effects) as opened:
         result = split_energy(opened.read_rides(chosen.effects), chosen, by=by, price=price)
     write_json(json_file, "waterfall", result.to_json())

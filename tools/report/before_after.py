@@ -30,6 +30,7 @@ from socast.tools.report.table import (
     format_count,
     format_digits,
     format_percent,
+    format_signed,
     tabulate,
     tabulate_records,
 )
@@ -40,6 +41,10 @@ PLACEBOS: Final = (
     "The same estimate for cars without a campaign, and for earlier dates of its own cars. Where their spread exceeds "
     "that of the model, it widens the interval. Neighbouring dates share most of their days, so the number of "
     "independent placebo campaigns is smaller."
+)
+MEASURE: Final = (
+    "The change is of the consumption of a day at equal conditions. Days count alike whatever the car drove; those of "
+    "little energy, and those far off, count less or are left out."
 )
 BINS: Final = 31
 """Number of bars of the placebo campaigns."""
@@ -62,7 +67,7 @@ def build_report(result: BeforeAfter) -> Report:
 
 def describe_campaign(result: BeforeAfter) -> list[str]:
     """Return the answer, how long a change takes to be seen, and what limits the answer."""
-    return [_describe_change(result), _describe_detection(result), *result.notes]
+    return [_describe_change(result), *_describe_measure(result), _describe_detection(result), *result.notes]
 
 
 def _describe_change(result: BeforeAfter) -> str:
@@ -79,6 +84,21 @@ def _describe_change(result: BeforeAfter) -> str:
     if change.is_shown:
         return f"{cars} {'take' if several else 'takes'} {_word_change(change.change)} {when}{until}{what}: {words}"
     return f"No change of {cars} is shown {when}{until}{what}: {_word_change(change.change)}, {words}"
+
+
+def _describe_measure(result: BeforeAfter) -> list[str]:
+    """Return what the percentage is of, and what it is in energy."""
+    if result.change is None:
+        return []
+    words = [MEASURE]
+    if (extra := result.change.extra_per_100km_kwh) is not None:
+        days = "days on" if result.at is None else "days after"
+        middle, low, high = (format_signed(each, 2) for each in extra)
+        words.append(
+            f"At the {result.change.per_100km_kwh:.1f} kWh/100 km of the {days}, it makes {middle} kWh/100 km "
+            f"({low} to {high})."
+        )
+    return [" ".join(words)]
 
 
 def _describe_placebos(result: BeforeAfter) -> str:

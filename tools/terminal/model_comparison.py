@@ -8,13 +8,14 @@ from typing import Annotated, Any, Final
 import msgspec
 import pandas as pd
 import typer
+from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from socast.core import models
 from socast.core.formatting import format_count, format_minus
-from socast.core.models import LinearModel
+from socast.core.models import BUILT_IN_MODELS, LinearModel
 from socast.core.wire.messages import Gain, ModelErrors, RideErrors
 from socast.tools.terminal.output import print_plain
 from socast.tools.terminal.rich_table import Column, make_table
@@ -59,6 +60,22 @@ ModelNames = Annotated[
 def load_models(names: Sequence[str] | None) -> list[LinearModel]:
     """Load the models of the given names or files, or `DEFAULT_MODEL` without names."""
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
+
+
+def name_as_given(given: str) -> str:
+    """Return the name of a model in reports: that of a built-in model, or of the file that was given.
+
+    Examples
+    --------
+    >>> name_as_given("extended_physical"), name_as_given("models/base.json")
+    ('extended_physical', 'base')
+    """
+    return given if given in BUILT_IN_MODELS else Path(given).stem
+
+
+def load_as_given(given: str) -> LinearModel:
+    """Load a model for a report, which names it as the user does; it is not to be saved under this name."""
+    return replace(models.load(given), name=name_as_given(given))
 
 
 def find_models(names: Sequence[str] | None, folder: Path | None) -> list[str]:

@@ -190,7 +190,7 @@ class Workspace:
         rides, windows = self.check_rides(node.model)
         version = self.tables.version
         dated = self.given.source.are_dated
-        result = diagnose(rides, windows, node.model, events=self.events, dated=dated, report=report)
+        result = diagnose(rides, windows, node.named, events=self.events, dated=dated, report=report)
         self._diagnoses[node.model.version, version] = result
         return result
 
@@ -203,7 +203,7 @@ class Workspace:
         from socast.core.condition.car_condition import assess_condition  # noqa: PLC0415 - imports an optimiser
 
         tables = self.tables
-        self._conditions[node.model.version, tables.version] = assess_condition(tables.rides, node.model, self.events)
+        self._conditions[node.model.version, tables.version] = assess_condition(tables.rides, node.named, self.events)
 
     def describe(self) -> dict[str, Any]:
         """Return what was given and read, for the head of every page."""

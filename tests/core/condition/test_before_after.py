@@ -46,6 +46,20 @@ def test_planted_change_is_shown_and_its_intervals_hold_it():
     assert result.notes == []
 
 
+def test_extra_energy_is_that_of_the_change_at_the_consumption_of_the_days_after():
+    fleet = make_fleet(-0.06, 3)
+    amount = fleet.consumption.amount
+    found = estimate(fleet._replace(distance_km=np.full_like(amount, 50.0))).change
+    after = fleet.consumption.value[0, BEFORE_DAYS + 1 :]
+    used = np.isfinite(after)
+    measured = (np.exp(after) * amount[0, BEFORE_DAYS + 1 :])[used].sum() / (50.0 * used.sum())
+    assert found.per_100km_kwh == pytest.approx(100.0 * measured)
+    extra, low, high = found.extra_per_100km_kwh
+    assert extra == pytest.approx(found.per_100km_kwh * (1.0 - 1.0 / (1.0 + found.change)))
+    assert low < extra < high
+    assert estimate(fleet).change.extra_per_100km_kwh is None
+
+
 def test_estimate_is_not_drawn_towards_zero(fleet):
     for change in (-0.3, 0.03, 0.5):
         assert find_size(make_fleet(change, 7)) - find_size(fleet) == pytest.approx(np.log1p(change), abs=1e-9)

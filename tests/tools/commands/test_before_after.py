@@ -1,6 +1,7 @@
 """`socast before-after` answers in words, as JSON and as a page, and refuses wrong calls in one line."""
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -45,6 +46,7 @@ def test_effect_that_was_put_in_is_told_in_words(answer):
     assert "% more since 10 November 2018 (<new> brakes): 90 % interval" in text
     assert f"of {len(result['placebo']['campaigns'])} placebo campaigns show" in text
     assert "To see 1 % takes" in text
+    assert re.search(r"At the [\d.]+ kWh/100 km of the days after, it makes \+[\d.]+ kWh/100 km \(\+[\d.]+ to ", text)
 
 
 def test_interval_of_the_report_holds_the_effect(answer):

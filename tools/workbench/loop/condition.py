@@ -18,7 +18,7 @@ def describe_condition(workspace: Workspace, node: ModelNode, found: FleetCondit
     """Return the condition of each car as `socast condition` says it, the parts of the energy, and these commands."""
     from socast.tools.report import condition as report  # noqa: PLC0415 - the report draws with plotly
 
-    energy, frame = split_energy(workspace.tables.rides, node.model), report.find_frame(found)
+    energy, frame = split_energy(workspace.tables.rides, node.named), report.find_frame(found)
     table = report.tabulate_cars(found)
     return {
         "words": report.describe_fleet(found),
@@ -57,7 +57,7 @@ def compare_repair(workspace: Workspace, node: ModelNode, campaign: Campaign, da
     """
     from socast.tools.report.before_after import count_placebos, describe_campaign  # noqa: PLC0415 - as above
 
-    result = evaluate_campaign(workspace.tables.rides, node.model, campaign)
+    result = evaluate_campaign(workspace.tables.rides, node.named, campaign)
     placebos = None
     if result.change and result.placebo.campaigns:
         counts, edges = count_placebos(result, result.change)

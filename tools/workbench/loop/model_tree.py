@@ -5,6 +5,8 @@ from pathlib import Path
 from threading import RLock
 from typing import Any, Final, NamedTuple
 
+from msgspec.structs import replace
+
 from socast.core import models
 from socast.core.diagnose.add.add import AdditionTrial, log_attempt
 from socast.core.diagnose.add.records import ADDED, REFUSED, UNDECIDED, EffectAttempt, list_attempts
@@ -37,6 +39,11 @@ class ModelNode(NamedTuple):
     parent: str = ""
     origin: str = "given"
     given: str = ""
+
+    @property
+    def named(self) -> LinearModel:
+        """The model with its name in the tree, for reports."""
+        return replace(self.model, name=self.name)
 
     @property
     def path(self) -> str:
