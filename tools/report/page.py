@@ -170,17 +170,17 @@ def _number(value: Any) -> str:
 
 
 def _table(table: ReportTable, *, captioned: bool) -> str:
-    """Return a table in a frame that scrolls sideways where the table is too wide."""
+    """Return a table in a frame that scrolls sideways where the table is too wide, below its title."""
     title = escape_text(table.title)
-    caption = f"<caption>{title}</caption>" if captioned else ""
+    caption = f'<p class="title">{title}</p>' if captioned else ""
     kinds = ["" if number else WORDS for number in table.numeric]
     columns = zip((table.corner, *table.columns), ("", *kinds), strict=True)
     head = "".join(f'<th scope="col"{kind}>{escape_text(name)}</th>' for name, kind in columns)
     rows = "".join(_row(row, kinds) for row in table.rows)
     notes = "".join(f"<p>{escape_text(note)}</p>" for note in table.all_notes)
     return (
-        f'<div class="table"><div class="scroll" role="region" tabindex="0" aria-label="{title}"><table>{caption}'
-        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>{notes}</div>"
+        f'<div class="table">{caption}<div class="scroll" role="region" tabindex="0" aria-label="{title}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>{notes}</div>"
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from socast.core.condition.records import CarCondition, CarEvent, Trend
-from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.models import EXTENDED_PHYSICAL, save
 from socast.tools.report.condition import HEIGHT, ROW_PX, ROWS, Frame, draw_car
 from tests.support.commands import called, done, refused
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
@@ -77,6 +77,20 @@ def known(slower, tmp_path_factory):
     printed, errors, code = called("condition", slower, "--model", EXTENDED_PHYSICAL.name, *given)
     assert code == 0, errors
     return " ".join(printed.split()), json.loads((folder / "c.json").read_text(encoding="utf-8")), folder / "c.html"
+
+
+def test_model_has_the_name_that_the_user_gave(slower, tmp_path):
+    save(EXTENDED_PHYSICAL, tmp_path / "mine.json")
+    printed, _, code = called("condition", slower, "--model", tmp_path / "mine.json", "--html", tmp_path / "c.html")
+    assert code == 0
+    assert "model mine." in " ".join(printed.split())
+    assert EXTENDED_PHYSICAL.name not in printed
+
+
+def test_title_of_a_table_does_not_scroll_with_it(written):
+    frames = written[2].read_text(encoding="utf-8").split('<div class="table">')[1:]
+    assert frames[0].startswith('<p class="title">Cars, those with a finding first</p><div class="scroll"')
+    assert not any("<caption>" in each for each in frames)
 
 
 def test_known_events_are_told_in_the_words_of_their_cars(known):

@@ -167,8 +167,8 @@ export function mount(root, first, context) {
 
   function drawShadow(result) {
     return [
+      el("p", { class: "note" }, "Running error, ride by ride as in service"),
       el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Running errors" }, el("table", {},
-        el("caption", {}, "Running error, ride by ride as in service"),
         el("thead", {}, el("tr", {}, ["model", "rides", "error, kWh", "bias, kWh", "gain over the first, Wh per ride", "verdict"].map((head, i) => el("th", { class: i && i < 5 ? `number ${i === 3 ? "wide-only" : ""}` : null, scope: "col" }, head)))),
         el("tbody", {}, result.models.map((model, i) => {
           const { gain } = model.overall;
