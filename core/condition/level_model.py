@@ -102,7 +102,7 @@ class Wandering(NamedTuple):
 CONSUMPTION: Final = Wandering(0.04, 0.15, 0.01, 0.03)
 """Prior of the consumption of cars: a car differs by 4 % from day to day, and ages by some per cent a year."""
 CAPACITY: Final = Wandering(0.02, 0.5, 0.01, 0.04, 0.3)
-"""Prior of the usable capacity: batteries lose 1 to 4 % a year, seldom at once; a reading is uncertain by a per cent."""
+"""Prior of the usable capacity: batteries lose 1 to 4 % a year, seldom at once; readings are uncertain by 1 %."""
 WANDER_SD: Final = 1.5
 """Scale of a half-normal prior of the wander over which it is averaged, over its first guess. [1]"""
 _WANDERS: Final = np.append(0.0, np.geomspace(0.1, 6.4, 13))
