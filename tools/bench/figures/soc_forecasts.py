@@ -39,7 +39,8 @@ PERIOD: Final = 3.0
 ABOUT_REAL: Final = (
     "`leaf` is the Nissan Leaf of the Vehicle Energy Dataset (135 rides, 10 months), `i3` the BMW i3 of Munich (31 "
     f"rides), in synthetic shifts of {REAL_HOURS:g} h. Each is one car whose first shift is forecast without any data "
-    "of it, so the figures are of few shifts: they tell which method is better, not by how much."
+    "of it, so the figures are of few shifts: they tell which method is better, not by how much. Without plans, a "
+    "forecast knows the car's earlier shifts only."
 )
 """What the table of real drives shows."""
 
@@ -69,8 +70,9 @@ def judge_real_drives(keep: Path, ved: Path, i3: Path) -> list[Line]:
     for name, data_set, folder in (("leaf", "ved", ved), ("i3", "bmw-i3", i3)):
         recording, file = keep / f"{name}.mcap", keep / f"{name}.json"
         write_recording(collect_drives([folder], DATA_SETS[data_set]), recording, PERIOD, REAL_HOURS)
-        judge(["--recording", str(recording), "--json", str(file)])
-        lines += [Line(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
+        for words in ([], ["--no-plans"]):
+            judge(["--recording", str(recording), *words, "--json", str(file)])
+            lines += [Line(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
     return lines
 
 
