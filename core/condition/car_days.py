@@ -139,7 +139,7 @@ def gather_car_days(compared: ComparedRides, label: str, least_kwh: float = LEAS
         total(colder) / np.maximum(falls, 1e-9),
         int(unknown.sum()),
         float(np.abs(measured[unknown]).sum() / np.abs(measured).sum()),
-        total(get_numbers(rides, "distance_km")),
+        total(_read(rides, "distance_km")),
     )
 
 
