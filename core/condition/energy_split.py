@@ -307,7 +307,7 @@ def _sum_group(
 
 
 def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEnergyFactor]:
-    """Return the factor of each car beside the median of its vehicle model, without what the model knows of single cars."""
+    """Return the factor of each car beside the median of its vehicle model, without what is known of single cars."""
     usual = forget_cars(model).predict_energy(chosen.rides)
     factors = list[tuple[str, str, int, float, EstimatedValue]]()
     names = chosen.rides[[VEHICLE_MODEL, VEHICLE]].astype(str)
