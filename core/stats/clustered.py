@@ -25,7 +25,9 @@ from socast.core.batch import Floats
 from socast.core.stats.scores import NORMAL_95, UNKNOWN, Codes, Estimate, compute_half_widths
 
 LEAST_CLUSTERS: Final = 30
-"""Number of clusters below which a share is too uncertain to be shown as a figure."""
+"""Number of clusters, or of independent cases, below which a share is too uncertain to be shown as a figure."""
+FEWEST_CLUSTERS: Final = 10
+"""Number of clusters below which they do not tell how many independent cases they are worth."""
 SPARSE: Final = 16
 """Largest code over the number of cases above which codes are renumbered before they are counted. [1]"""
 
@@ -167,7 +169,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     estimate, count = compute_clustered_mean(holds.astype(np.float64), clusters), len(np.unique(clusters))
     n, share = float(len(holds)), estimate.value
     if not n or not estimate.freedom > 0.0:
-        return {"value": share, "low": nan, "high": nan, "clusters": count}
+        return {"value": share, "low": nan, "high": nan, "clusters": count, "independent": nan}
     if estimate.error > 0.0:
         stretch = float(compute_half_widths(1.0, n - 1.0) / compute_half_widths(1.0, estimate.freedom))
         independent = share * (1.0 - share) / (n - 1.0)
@@ -175,7 +177,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     else:
         n = float(count)
     low, high = compute_wilson_interval(share, n)
-    return {"value": share, "low": low, "high": high, "clusters": count}
+    return {"value": share, "low": low, "high": high, "clusters": count, "independent": n}
 
 
 def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:

@@ -201,10 +201,7 @@ def test_risk_figure_shows_forecast_and_observed_risk():
     for points, key in ((levels, "levels"), (plan, "plan")):
         classes = result.reserve.reliability[key]
         assert list(points.x) == pytest.approx([100.0 * risk_class.told for risk_class in classes])
-        shown = [
-            100.0 * risk_class.fell.value if risk_class.fell.clusters >= LEAST_CLUSTERS else None
-            for risk_class in classes
-        ]
+        shown = [100.0 * risk_class.fell.value if risk_class.fell.is_firm else None for risk_class in classes]
         assert list(points.y) == shown
         assert (None in shown) == (key in few)
     assert any(y is not None for y in levels.y)
@@ -302,9 +299,10 @@ def test_legs_are_shown_only_if_any_were_queried(result):
 def test_share_of_few_vehicle_days_is_not_shown(result):
     out = printed(result)
     for part in result.by["temperature"]:
-        few = part.pooled.vehicle_days < 30
+        few, shown = part.pooled.vehicle_days < 30, format_share(part.pooled.coverage)
         (line,) = (line for line in out.splitlines() if line.startswith(f" {part.bin.replace('-', '−')} "))
-        assert ("too few" in line) == few
+        assert shown in line
+        assert shown.startswith("–") == few
     assert any(part.pooled.vehicle_days < 30 for part in result.by["temperature"])
 
 
