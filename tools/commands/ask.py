@@ -68,7 +68,8 @@ def ask_outlook(
     """Ask a live consumer whether a car can take a ride and still finish above its reserve.
 
     Without a ride the question is about the shift as planned. The answer is YES for a risk below 5 %, NO above 50 %,
-    and UNCERTAIN between. The figures in brackets are 90 % intervals, and ± is half of a 95 % interval. Every answer exits with code 0.
+    and UNCERTAIN between. The figures in brackets are 90 % intervals, and ± is half of a 95 % interval. Every answer
+    exits with code 0.
 
     Examples
     --------

@@ -104,6 +104,8 @@ BREAKINGS: Final = tuple(
     for tied in (WHOLE, LOOSE)
 )
 """From what harms a reader least to what harms most."""
+WORDS_WHOLE: Final = BREAKINGS[:2]
+"""Those that break no word."""
 
 
 class Column(NamedTuple):
@@ -148,18 +150,15 @@ class _NumberTable(Table):
             yield from super().__rich_console__(console, options)
             return
         for part in self._split(options.max_width):
-            part._fit(console, options)
+            part.fit(console, options)
             yield from super(_NumberTable, part).__rich_console__(console, options)
 
     def _split(self, width: int) -> list["_NumberTable"]:
         """Return the parts of the table, one where all columns fit; their numbers stay whole."""
-        for tied in (WHOLE, LOOSE):
-            least = [
-                self._measure_least(column, Breaking(tied, headings=False, texts=False)) for column in self.columns
-            ]
-            if measure_table(least) <= width:
+        for breaking in WORDS_WHOLE:
+            if measure_table([self._measure_least(column, breaking) for column in self.columns]) <= width:
                 return [self]
-        least = [self._measure_least(column, BREAKINGS[0]) for column in self.columns]
+        least = [self._measure_least(column, WORDS_WHOLE[0]) for column in self.columns]
         parts = [self._take(places) for places in split_columns(least, width, self.repeated)]
         for part in parts[1:]:
             part.title = None
@@ -173,7 +172,7 @@ class _NumberTable(Table):
         part.columns = [replace(self.columns[place], _index=i) for i, place in enumerate(places)]
         return part
 
-    def _fit(self, console: Console, options: ConsoleOptions) -> None:
+    def fit(self, console: Console, options: ConsoleOptions) -> None:
         """Set the widths of columns if the table is too wide."""
         room = options.max_width - measure_table([0] * len(self.columns))
         most = [self._measure(console, options, number) for number in range(len(self.columns))]
@@ -229,8 +228,8 @@ def measure_table(widths: Sequence[int]) -> int:
 def split_columns(least: Sequence[int], width: int, repeated: int = 1) -> list[list[int]]:
     """Return the places of the columns of each part of a table that is too wide, with the first, repeated ones in each.
 
-    There are as few parts as possible, and they are about equally wide. A part that holds a single further column
-    may be too wide.
+    There are as few parts as possible, and they are about equally wide. A part with a single further column may be too
+    wide, and so may be all parts where the repeated columns alone take more than half of the width.
 
     Units: width [characters].
 
@@ -238,8 +237,12 @@ def split_columns(least: Sequence[int], width: int, repeated: int = 1) -> list[l
     --------
     >>> split_columns([8, 10, 10, 10, 10], width=47)
     [[0, 1, 2], [0, 3, 4]]
+    >>> split_columns([90, 10, 10], width=47)
+    [[0, 1], [0, 2]]
     """
     first = list(range(repeated))
+    most = width // (2 * repeated)
+    least = [*(min(each, most) for each in least[:repeated]), *least[repeated:]]
 
     def fill(room: int) -> list[list[int]]:
         parts = [list(first)]
@@ -249,7 +252,7 @@ def split_columns(least: Sequence[int], width: int, repeated: int = 1) -> list[l
             parts[-1].append(place)
         return parts
 
-    return next(parts for room in range(width) if len(parts := fill(room)) == len(fill(width)))
+    return next(parts for room in range(width + 1) if len(parts := fill(room)) == len(fill(width)))
 
 
 def distribute_width(
