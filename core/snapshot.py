@@ -26,8 +26,8 @@ from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.forecast_rows import NEWEST_FORECAST
 from socast.core.forecast.learning.consumption_terms import TERMS
 from socast.core.forecast.learning.daily_cycle import HOURS
-from socast.core.forecast.learning.fleet import SHIFT_PATTERN
 from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
+from socast.core.forecast.learning.shift_patterns import SHIFT_PATTERNS
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
@@ -47,7 +47,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 31
+SNAPSHOT: Final = 32
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
@@ -162,7 +162,6 @@ _STATISTICS: Final = Row(
         Row(
             Many(Row(LANE, FACTOR)),
             Many(Row(COUNT, FACTOR)),
-            Many(Row(LANE, Many(Row(REAL, REAL)))),
             FACTOR,
         ),
         _CONFORMAL,
@@ -173,7 +172,7 @@ _STATISTICS: Final = Row(
     Many(_SHIFT),
     Many(Row(LANE, Maybe(Many(_SHIFT_ERRORS)))),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
-    Packed(SHIFT_PATTERN, by_lane="predicted"),
+    Packed(SHIFT_PATTERNS, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": COUNT}),
 )
 _PLANS: Final = Row(

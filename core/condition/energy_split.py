@@ -1,42 +1,42 @@
 """Split the measured energy of rides into the terms of a model, and what the model does not explain.
 
-Each ride is predicted as a sum: the energies of the terms, each times the factor of the car, the correction by boosted
-trees, and what a limit of the prediction takes away. The rest, measured less predicted, is unexplained. The parts
-therefore add up to the measured energy, in every group of rides.
-
-What acts over time, such as heating, also takes energy while the car stands. That is a part of its own, `WAITING`: the
-share of the time of each ride in which the car stood, of each term that acts over time.
+The prediction of each ride is a sum of parts (`socast.core.condition.energy_parts`). The rest, measured less predicted,
+is unexplained. The parts therefore add up to the measured energy, in every group of rides.
 
 The distance of a part is its energy over the present mean consumption. The distances therefore add up to that driven.
 """
 
-from collections import defaultdict
 from collections.abc import Mapping
-from math import inf, isfinite, sqrt
+from math import inf, isfinite
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from msgspec import UNSET, field
+from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats
 from socast.core.condition.car_days import LEAST_SIBLINGS, forget_cars
-from socast.core.effects import Effect, get_library, group_by_topic
+from socast.core.condition.energy_parts import (
+    LIMIT,
+    STANDING,
+    UNEXPLAINED,
+    WAITING,
+    PredictionParts,
+    acts_over_time,
+    is_air_drag,
+    split_predictions,
+)
+from socast.core.effects import get_library
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import ComparedRides, select_rides
 from socast.core.evaluate.records import EstimatedValue, hold_estimate
-from socast.core.fit.model_summary import find_freedom
-from socast.core.fit.ride_blocks import get_numbers
 from socast.core.formatting import format_count
-from socast.core.models import ANY, CORRECTION, VEHICLE, VEHICLE_MODEL, LinearModel, Term
-from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
+from socast.core.models import CORRECTION, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.records import Record, declare
 from socast.core.stats.clustered import compute_clustered_ratio
-from socast.core.stats.scores import compute_half_widths
 
 FLEET: Final = "fleet"
 """Way to group rides that leaves them together."""
@@ -49,15 +49,8 @@ SPEED_CLASSES: Final[Mapping[float, str]] = MappingProxyType(
 )
 """Mean speed, stops included, below which a ride belongs to a class -> name of the class. [km/h]"""
 UNKNOWN_GROUP: Final = "unknown"
-LIMIT: Final = "limit of the prediction"
-"""Name of the part that the limit of a model takes away from its terms."""
-UNEXPLAINED: Final = "unexplained"
-WAITING: Final = "waiting"
-"""Name of the part that terms over time take while the car stands."""
 DRIVING: Final = " while driving"
 """What follows the words of a term whose energy while the car stands is a part of its own."""
-STANDING: Final = "standing_s"
-"""Column of the ride table that tells how long. [s]"""
 MEASURED: Final = "measured"
 WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -73,8 +66,6 @@ WORDS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Term of a model -> what takes its energy, where the name does not say it."""
-AIR_DRAG: Final = frozenset({"aero_drag", "aero_drag_wind"})
-"""Effects of air drag besides those of the topic `air`."""
 SLOWER: Final = 0.9
 """Speed of the slower drive over the present one. [1]"""
 LIKE_SIBLINGS: Final = "each car like the median of its vehicle model"
@@ -163,42 +154,6 @@ class EnergySplit(Record, frozen=True, kw_only=True):
     notes: Annotated[list[str], declare("Notes for the reader.")]
 
 
-class _Uncertainty(NamedTuple):
-    """Hold what the standard errors of the coefficients mean for energies.
-
-    Parameters
-    ----------
-    columns : (n, terms) float
-        Energy of each term per unit of its coefficient. [kWh/unit]
-    keys : (n,) object
-        Fit that applies to each ride.
-    standing : (n, terms) float
-        Share of it while the car stands. [1]
-    """
-
-    columns: Floats
-    keys: NDArray[np.object_]
-    model: LinearModel
-    standing: Floats
-
-    def compute_half_widths(self, rows: NDArray[np.bool_]) -> dict[str, float]:
-        """Return half of the 95 % intervals by part, and that of their sum as `UNEXPLAINED`; empty if unknown. [kWh]"""
-        names, squares = [term.name for term in self.model.terms], defaultdict[str, float](float)
-        for key in set(self.keys[rows]):
-            covariance = self.model.fits[key].covariance
-            if covariance is None:
-                return {}
-            here, matrix = rows & (self.keys == key), np.array(covariance)
-            of_all, standing = self.columns[here], self.columns[here] * self.standing[here]
-            square = float(compute_half_widths(1.0, max(find_freedom(self.model, key), 1))) ** 2
-            of_terms = np.diag(matrix) * (of_all - standing).sum(axis=0) ** 2
-            for name, of_term in zip(names, of_terms.tolist(), strict=True):
-                squares[name] += square * of_term
-            for name, sums in ((WAITING, standing.sum(axis=0)), (UNEXPLAINED, of_all.sum(axis=0))):
-                squares[name] += square * max(float(sums @ matrix @ sums), 0.0)
-        return {name: sqrt(each) for name, each in squares.items()}
-
-
 class _Scale(NamedTuple):
     """Hold what turns an energy of some rides into shares, distance and money."""
 
@@ -244,16 +199,15 @@ def split_energy(
     if price is not None and not (isfinite(price) and price >= 0.0):
         raise SettingsError(f"the price of a kWh is {price:g}, and must be 0 or above: give one such as 0.12")
     chosen = select_rides(rides, {model.name: model})
-    standing = _find_standing(model, chosen.rides)
-    parts = _split_predictions(model, chosen, standing)
-    uncertainty = _find_uncertainty(model, chosen.rides, standing)
-    fleet = _sum_group(FLEET, np.ones(len(chosen.rides), np.bool_), chosen, parts, uncertainty, price)
+    parts = split_predictions(model, chosen)
+    every = np.ones(len(chosen.rides), np.bool_)
+    fleet = _sum_group(FLEET, every, chosen, parts, price, halves=parts.compute_half_widths())
     order = [share.name for share in fleet.shares]
     labels = list(zip(*(_name_by(chosen.rides, way) for way in ways), strict=True))
     groups = []
     for label in sorted(set(labels)):
         rows = np.array([each == label for each in labels])
-        group = _sum_group(", ".join(label), rows, chosen, parts, uncertainty, price, order)
+        group = _sum_group(", ".join(label), rows, chosen, parts, price, order=order)
         groups.append(replace(group, of=dict(zip(ways, label, strict=True))))
     scale = _Scale(fleet.measured.energy_kwh.value or 0.0, fleet.distance_km, price)
     savings, impossible = list[EnergySaving](), list[str]()
@@ -274,7 +228,7 @@ def split_energy(
         savings=savings,
         impossible=impossible,
         cars=cars,
-        notes=_list_notes(model, chosen, fleet),
+        notes=_list_notes(parts, chosen, fleet),
     )
 
 
@@ -313,59 +267,22 @@ def _name_by(rides: pd.DataFrame, way: str) -> list[str]:
     return list(names.astype(object).where(rides[column].notna(), UNKNOWN_GROUP))
 
 
-def _find_standing(model: LinearModel, rides: pd.DataFrame) -> Floats:
-    """Return the share of each term of each ride while the car stands, (n, terms); 0 where the tables tell none."""
-    stood, time = (
-        np.nan_to_num(get_numbers(rides, name)) if name in rides else np.zeros(len(rides))
-        for name in (STANDING, "duration_s")
-    )
-    share = np.divide(stood, time, out=np.zeros(len(rides)), where=time > 0.0)
-    return np.outer(np.clip(share, 0.0, 1.0), [_acts_over_time(term) for term in model.terms])
-
-
-def _split_predictions(model: LinearModel, chosen: ComparedRides, standing: Floats) -> dict[str, Floats]:
-    """Return the energy of each part of the predictions, whose sum is the prediction. [kWh]"""
-    predicted = chosen.predicted[model.name]
-    unlimited = replace(model, fits={key: replace(fit, limit=UNSET) for key, fit in model.fits.items()})
-    parts = unlimited.predict_parts(chosen.rides)
-    if model.count_limited(chosen.rides, predicted):
-        parts[LIMIT] = predicted - np.sum(list(parts.values()), axis=0)
-    if standing.any():
-        waiting = np.zeros(len(predicted))
-        for term, share in zip(model.terms, standing.T, strict=True):
-            waiting += parts[term.name] * share
-            parts[term.name] = parts[term.name] * (1.0 - share)
-        parts[WAITING] = waiting
-    return parts
-
-
-def _find_uncertainty(model: LinearModel, rides: pd.DataFrame, standing: Floats) -> _Uncertainty:
-    """Return what the standard errors of the coefficients mean for the energies of rides."""
-    ones = (1.0,) * len(model.terms)
-    fits = {key: replace(fit, coefficients=ones, limit=UNSET) for key, fit in model.fits.items()}
-    parts = replace(model, fits=fits, correction=None).predict_parts(rides)
-    kinds = rides[VEHICLE_MODEL].to_numpy(dtype=object)
-    keys = np.array([kind if kind in model.fits else ANY for kind in kinds], dtype=object)
-    columns = np.reshape([parts[term.name] for term in model.terms], (len(model.terms), len(rides))).T
-    return _Uncertainty(columns, keys, model, standing)
-
-
 def _sum_group(
     name: str,
     rows: NDArray[np.bool_],
     chosen: ComparedRides,
-    parts: Mapping[str, Floats],
-    uncertainty: _Uncertainty,
+    parts: PredictionParts,
     price: float | None,
+    *,
     order: list[str] | None = None,
+    halves: Mapping[str, float] = MappingProxyType({}),
 ) -> GroupEnergy:
     """Return where the energy of a group of rides went, in the given order or with the largest part first."""
     rides = chosen.rides[rows]
     measured, distance = float(chosen.measured[rows].sum()), float(rides["distance_km"].sum())
     scale = _Scale(measured, distance, price)
-    halves, terms = uncertainty.compute_half_widths(rows), uncertainty.model.terms
-    driving = {term.name for term, share in zip(terms, uncertainty.standing.T, strict=True) if share.any()}
-    sums = {part: float(energy[rows].sum()) for part, energy in parts.items()}
+    driving = parts.split_terms
+    sums = {part: float(energy[rows].sum()) for part, energy in parts.energies.items()}
     shares = [
         EnergyShare(
             what=WORDS.get(part, part.replace("_", " ") if part in get_library() else part)
@@ -439,8 +356,8 @@ def _save_like_siblings(cars: list[CarEnergyFactor], scale: _Scale) -> EnergySav
 def _save_by_slowing(model: LinearModel, fleet: GroupEnergy, scale: _Scale) -> EnergySaving | str:
     """Return what slower driving would save, or why that is unknown."""
     energies = {share.name: share.energy_kwh.value or 0.0 for share in fleet.shares}
-    drag = [term.name for term in model.terms if _is_air_drag(term)]
-    time = [term.name for term in model.terms if _acts_over_time(term)]
+    drag = [term.name for term in model.terms if is_air_drag(term)]
+    time = [term.name for term in model.terms if acts_over_time(term)]
     if not (drag and time):
         lacking = " and none ".join(["of air drag"] * (not drag) + ["that acts over time"] * (not time))
         return f"{DRIVEN_SLOWER}: unknown, because the model has no term {lacking}"
@@ -457,33 +374,16 @@ def _save_by_slowing(model: LinearModel, fleet: GroupEnergy, scale: _Scale) -> E
     )
 
 
-def _list_effects(term: Term) -> list[Effect]:
-    """Return the effects of the library that a term multiplies."""
-    names = [column.removeprefix(EFFECT_PREFIX) for column in term.columns if column.startswith(EFFECT_PREFIX)]
-    found = [get_library().get(name.partition("@")[0]) for name in names]
-    return [each for each in found if each is not None]
-
-
-def _is_air_drag(term: Term) -> bool:
-    """Return whether a term is drag of the air, which grows with the square of the speed."""
-    known = AIR_DRAG | {each.name for each in group_by_topic()["air"]}
-    return any(each.name in known for each in _list_effects(term))
-
-
-def _acts_over_time(term: Term) -> bool:
-    """Return whether the energy of a term grows with the time of a ride."""
-    return bool({ACCESSORIES_COLUMN, "duration_s"} & set(term.columns)) or any(
-        each.per == "time" for each in _list_effects(term)
-    )
-
-
-def _list_notes(model: LinearModel, chosen: ComparedRides, fleet: GroupEnergy) -> list[str]:
-    """Return what a reader must know of the model."""
+def _list_notes(parts: PredictionParts, chosen: ComparedRides, fleet: GroupEnergy) -> list[str]:
+    """Return what a reader must know of the model and of the rides."""
+    model = parts.model
     notes = [*describe_implausible(model), *describe_limited(model)]
     if limited := model.count_limited(chosen.rides, chosen.predicted[model.name]):
         notes.append(f"{format_count(limited, 'prediction')} stopped at the limit of the model")
-    if STANDING not in chosen.rides and any(_acts_over_time(term) for term in model.terms):
+    if STANDING not in chosen.rides and any(acts_over_time(term) for term in model.terms):
         notes.append(f"the tables hold no {STANDING}, so waiting is no part of its own: make them again")
+    if flat := int(parts.without_heights.sum()):
+        notes.append(f"the heights of {format_count(flat, 'ride')} are unknown, so climbing counts as none in them")
     if model.cars:
         notes.append(f"factors of {format_count(len(model.cars), 'car')} are part of each term")
     if all(share.energy_kwh.ci95 is None for share in fleet.shares):

@@ -40,7 +40,7 @@ UPPER_LEVEL: Final = 0.95
 """Probability of the upper bound of an interval."""
 SCORES: Final = np.linspace(-8.0, 8.0, 161)
 """Standardised errors at which the outcomes are counted; a larger one counts as the last. [1]"""
-PRIOR_SCALES: Final = 1.25, 1.75, 1.25, 1.25
+PRIOR_SCALES: Final = 1.25, 1.25, 1.25, 1.25
 """Scale of the prior distribution of the standardised error of each basis, Student's t. [1]"""
 PRIOR_FREEDOM: Final = 8.0
 """Its degrees of freedom."""

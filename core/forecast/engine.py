@@ -8,7 +8,7 @@ messages are cut into batches, nor on which other cars sent samples a moment ear
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
-from math import inf
+from math import inf, nan
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -128,7 +128,7 @@ class ForecastEngine:
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
         self.statistics.charged_soc.add_charges(self.plans.outcomes)
-        time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
+        time, patterns = sums.running.at_last("time"), self.statistics.patterns.get(sums.running.lane)
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
         ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)
@@ -182,15 +182,16 @@ class ForecastEngine:
         """Write totals as events."""
         duration, riding = totals.amount("duration"), totals.ride >= 0
         ambient = totals.amount("ambient")
-        kind = totals.kinds
-        mean_ambient = totals.share("ambient", otherwise=np.nan)
+        kind, now = totals.kinds, totals.at_last("ambient")
+        mean_ambient = totals.share("ambient", otherwise=now)
         weights = compute_temperature_weights(mean_ambient)
         out["cold_loss"] = self.statistics.factors.expect_cold_loss(mean_ambient - ZERO_CELSIUS)
         out["lane"], out["time"], out["car_kind"] = totals.lane, totals.at_last("time"), kind
         self.statistics.predict_energies(totals, weights, out)
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
-        out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
+        out["riding"], out["distance"] = riding, totals.amount("distance")
+        out["ambient"], out["ambient_now"] = ambient, now
         out["soc"], out["quantum"] = totals.at_last("soc"), totals.at_last("soc_step")
         out["curve"], out["unsettled"] = totals.display["curve"], has_unsettled_clock(totals)
         out["since_charge"], out["capacity"] = totals.at_last("since_charge"), self._cars.capacity[kind]
@@ -253,12 +254,12 @@ class ForecastEngine:
         used = compute_charge_between(begin_soc, last_soc, curve) * capacity
         if np.isfinite(shift["faulty"]):  # by voltage and current alone
             used = float(shift["metered_used"])
-        if shift["hours"] >= SHORT_SHIFT and np.isnan(shift["charged"]) and np.isfinite(used):
+        if shift["hours"] > 0.0 and np.isnan(shift["charged"]):
             energy = ShiftEnergy(
                 lane=lane,
                 driver=int(shift["driver"]) if shift["driver"] >= 0.0 else None,
                 predicted_kwh=float(shift["predicted"]),
-                used_kwh=used,
+                used_kwh=used if shift["hours"] >= SHORT_SHIFT else nan,
                 capacity_kwh=capacity,
                 model=self._cars.name(kind) or "",
                 level=float(shift["level"]),

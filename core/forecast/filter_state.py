@@ -100,6 +100,7 @@ FILTER_EVENT: Final = np.dtype(
         ("distance", "f8"),  # so far [m]
         ("riding", "f8"),  # 1 for a ride
         ("ambient", "f8"),  # integral of the outside temperature so far [K s]
+        ("ambient_now", "f8"),  # outside temperature at the newest sample [K]
         ("soc", "f8"),  # reported state of charge, NaN for none [1]
         ("quantum", "f8"),  # its quantum, NaN while unknown [1]
         ("since_charge", "f8"),  # time since charging, NaN for never [s]

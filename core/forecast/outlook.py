@@ -19,6 +19,7 @@ from socast.core.batch import Floats, Ints, replace_nan, sum_weighted
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
 from socast.core.forecast.learning.consumption_terms import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.shift_patterns import expect_rest
 from socast.core.forecast.planned_legs import compute_share_left
 from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 from socast.core.forecast.soc_reading import READING_SD
@@ -279,25 +280,30 @@ def _is_planned(progress: NDArray[np.void], time: Floats) -> NDArray[np.bool_]:
 
 
 def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, patterns: NDArray[np.void]) -> Floats:
-    """Return when shifts are expected to end, by the plan or else by the car's usual shifts; NaN where unknown. [s]"""
-    return np.where(_is_planned(progress, time), progress["end"], begin + 3600.0 * patterns["hours"])
+    """Return when shifts are expected to end, by plan or else by earlier shifts; NaN where unknown. [s]"""
+    out, planned = progress["end"].copy(), _is_planned(progress, time)
+    if len(rows := np.flatnonzero(~planned)):
+        out[rows] = time[rows] + 3600.0 * expect_rest(patterns[rows], time[rows] - begin[rows]).hours
+    return out
 
 
 def fill_from_history(
     ahead: EnergyAhead, usual: UsualConsumption, elapsed: Floats, now: Floats, patterns: NDArray[np.void]
 ) -> EnergyAhead:
-    """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan."""
-    left = patterns["hours"] - elapsed / 3600.0
-    whole = patterns["relative_power"] * usual.mean_power * left + usual.warm_up_energy
-    whole = np.where(left > 0.0, whole, np.nan)
+    """Return the energy ahead, completed by the car's earlier shifts where there is no plan.
+
+    Units: elapsed [s] since the shift began, now [s].
+    """
+    rest = expect_rest(patterns, elapsed)
+    whole = rest.work * usual.mean_power + usual.warm_up_energy
     filled = np.isnan(ahead.energy) & np.isfinite(whole)
     return EnergyAhead(
         np.where(filled, whole, ahead.energy),
-        np.where(filled, 0.0, ahead.sd),
+        np.where(filled, rest.work_sd * usual.mean_power, ahead.sd),
         np.where(filled[:, np.newaxis], np.nan, ahead.planned),
         np.where(filled, whole / usual.energy_per_km, ahead.km),
-        np.where(filled, left, ahead.hours),
-        np.where(filled, now + 3600.0 * left, ahead.end),
+        np.where(filled, rest.hours, ahead.hours),
+        np.where(filled, now + 3600.0 * rest.hours, ahead.end),
         np.where(np.isnan(ahead.reserve), DEFAULT_RESERVE, ahead.reserve),
         np.where(filled, BY_HISTORY, ahead.basis),
     )

@@ -136,7 +136,7 @@ def filter_events(events: Any, state: Any, prior: Any, estimates: Any, shifts: A
 def open_shift(state: Any, event: Any, prior: Any) -> None:
     """Begin a shift, with an unknown driver and the prior distribution of `a - c`."""
     state.shift += 1.0
-    state.begin = event.time
+    state.begin, state.ambient = event.time, event.ambient_now
     state.distance = state.ride_distance = state.hours = state.warmth = 0.0
     state.predicted = state.awake_predicted = state.compared_predicted = state.compared_used = state.jump = 0.0
     state.metered_predicted = state.metered_used = 0.0
@@ -208,15 +208,15 @@ def update_with_totals(state: Any, event: Any) -> None:
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
     used = metered * duration / meter_time if meter_time > max(0.5 * duration, 0.0) else nan
     remember_totals(state, event)
+    if isnan(state.level_sd) and not isnan(event.level_sd):
+        state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
+        state.cold_loss = clip(event.cold_loss, LARGEST_LOG_CAPACITY)
+        state.usual += state.cold_loss
+        state.log_capacity -= state.cold_loss
+        state.begin_log_capacity -= state.cold_loss
+        state.usual_variance += event.level_sd**2
+        state.p_aa += event.level_sd**2
     if duration > 0.0:
-        if isnan(state.level_sd) and not isnan(event.level_sd):
-            state.level_sd = event.level_sd  # what its temperature adds to the prior of a shift
-            state.cold_loss = clip(event.cold_loss, LARGEST_LOG_CAPACITY)
-            state.usual += state.cold_loss
-            state.log_capacity -= state.cold_loss
-            state.begin_log_capacity -= state.cold_loss
-            state.usual_variance += event.level_sd**2
-            state.p_aa += event.level_sd**2
         awake = event.time - state.begin
         predicted += event.warm_up * (
             exp(-max(awake - duration, 0.0) / WARM_UP_DECAY) - exp(-max(awake, 0.0) / WARM_UP_DECAY)

@@ -63,7 +63,7 @@ def tabulate_outlooks(parts: Sequence[Rows], context: RunContext) -> pd.DataFram
     -------
     DataFrame
         Columns: `vehicle_id`, `vehicle_model`, `time_s`, `shift` (its ordinal), `shift_begin_s`, `shift_end_s` (as
-        planned, or by the car's usual shifts), `planned`, `soc_pct` (filtered), `soc_mean_pct`, `soc_p05_pct`,
+        planned, or as expected of earlier shifts), `planned`, `soc_pct` (filtered), `soc_mean_pct`, `soc_p05_pct`,
         `soc_p95_pct` (at the end; NaN where unknown), `reserve_soc_pct`, `reserve_risk`, `ahead_km`, `ambient_c`,
         `soc_begin_pct`, `shift_km`; `charge_s`, `charge_soc_mean_pct`, `charge_soc_p05_pct`, `charge_soc_p95_pct`,
         `charge_risk` and `charge_km` of the next planned charge, NaN without one; `charge_planned`, whether one is

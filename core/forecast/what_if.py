@@ -26,6 +26,7 @@ from socast.core.errors import AskError, suggest_names
 from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
+from socast.core.forecast.learning.shift_patterns import LEAST_SHIFTS, expect_rest
 from socast.core.forecast.messages import list_intervals, none_if_unknown
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
@@ -88,7 +89,8 @@ class CarOutlook:
         self.state, filtered = engine.state[lane], np.zeros(1, SOC_ESTIMATE)
         write_estimate(self.state, filtered[0])
         self.time, lanes, kinds = float(self.state["time"]), np.array([lane]), cars.of_lane[[lane]]
-        time, usual_end = np.array([self.time]), filtered["begin"] + 3600.0 * statistics.get_patterns(lanes)["hours"]
+        time, patterns = np.array([self.time]), statistics.patterns.get(lanes)
+        usual_end = time + 3600.0 * expect_rest(patterns, time - filtered["begin"]).hours
         end = usual_end if left is None else np.array([left.plan.shift_end_s])
         ambient = weather.expect_ambient(filtered["ambient"], time, end, statistics.daily_cycle)
         self.now = CarsNow.create(lanes, kinds, time, filtered, ambient, statistics, cars)
@@ -278,7 +280,7 @@ def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:
 def _add_history(ride: EnergyAhead, queried: bool, now: CarsNow) -> EnergyAhead:
     """Return the energy ahead without a plan: the queried ride, if any, and the usual rest of the shift after it.
 
-    In a shift that is longer than usual, the queried ride is all that is ahead.
+    In a shift that is longer than all that are remembered, the queried ride is all that is ahead.
     """
     unknown = np.array([np.nan])
     nothing = ride._replace(energy=unknown, km=unknown, hours=unknown, end=unknown, reserve=unknown)
@@ -286,10 +288,15 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarsNow) -> EnergyAhead:
     usual = fill_from_history(nothing, later, ride.end - now.filtered["begin"], ride.end, now.patterns)
     if np.isfinite(usual.energy[0]):
         energy, km, hours = ride.energy + usual.energy, ride.km + usual.km, ride.hours + usual.hours
-        return usual._replace(energy=energy, sd=ride.sd, km=km, hours=hours)
-    if queried and np.isfinite(now.patterns["hours"][0]):
+        return usual._replace(energy=energy, sd=np.hypot(ride.sd, usual.sd), km=km, hours=hours)
+    if queried and _knows_shifts(now):
         return ride._replace(basis=np.full(1, BY_HISTORY))
     return usual
+
+
+def _knows_shifts(now: CarsNow) -> bool:
+    """Return whether enough shifts of the car are remembered."""
+    return bool(np.isfinite(now.patterns["hours"][0]).sum() >= LEAST_SHIFTS)
 
 
 def _explain_unknown_energy(car: CarOutlook, *, later: bool, ended: bool) -> str | None:
@@ -298,8 +305,8 @@ def _explain_unknown_energy(car: CarOutlook, *, later: bool, ended: bool) -> str
         return None
     plan = "the plan that is known has ended; send a new one" if ended else "no plan is known"
     plan = "the plan that is known is of a later shift" if later else plan
-    if np.isfinite(car.now.patterns["hours"][0] * car.now.patterns["relative_power"][0]):
-        return f"{plan}, and this shift is longer than this car's usual shifts"
+    if _knows_shifts(car.now):
+        return f"{plan}, and this shift is already longer than every earlier one of this car that is remembered"
     return f"{plan}, and this car has ended too few shifts to estimate the rest of this one"
 
 

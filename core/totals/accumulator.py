@@ -63,6 +63,7 @@ EDGES: Final = (
     "soc_step",
     "occupants",
     "power",  # by voltage times current, at the sample [W]
+    "ambient",  # outside temperature, of the car or else of a station [K]
     "code",
     "lost",
     "speed_scale",  # factor by which the reported speed was multiplied; 0 for 1
@@ -179,7 +180,7 @@ class Totals(NamedTuple):
         """Return the number of samples with a quality bit."""
         return self.quality[:, CAUSES.index(cause)]
 
-    def share(self, name: str, whole: str = "duration", otherwise: float = 0.0) -> Floats:
+    def share(self, name: str, whole: str = "duration", otherwise: Floats | float = 0.0) -> Floats:
         """Return an amount over that of the whole, or another number where the whole is not above zero."""
         over = self.amount(whole)
         return np.divide(self.amount(name), over, out=np.full(len(over), otherwise), where=over > 0.0)

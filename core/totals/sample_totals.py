@@ -112,6 +112,7 @@ class SampleTotals:
         with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
             energies = [(per, power(signals)) for per, power in self._powers]
         amounts = compute_amounts(signals, energies)
+        clean = clean._replace(ambient=signals["ambient"])
         return self.accumulator.add(clean, rows.kind, amounts, len(self._context.lanes), rows.place, rows.ends)
 
     def observe_driver(self, ride: Ride, lane: int, place: int) -> None:

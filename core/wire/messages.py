@@ -263,7 +263,8 @@ class Forecast(Wire, omit_defaults=False):
         NextCharge | UnsetType | None, means("The next planned charge; absent where none is ahead.")
     ] = UNSET
     shift_end_s: Annotated[
-        float | None, means("End of the shift, by its plan or the car's usual shifts. [Unix s]", LiveDisplay())
+        float | None,
+        means("End of the shift, by its plan or the car's earlier shifts. [Unix s]", LiveDisplay()),
     ] = None
 
 
@@ -303,7 +304,7 @@ class Outlook(Wire, omit_defaults=False):
     asked: Annotated[LegOutlook | None, means("Candidate ride; null where the query has none.")]
     legs: Annotated[list[LegOutlook], means("Remaining legs of the plan, after the candidate ride.")]
     shift_end_s: Annotated[
-        float | None, means("Time at which the shift ends, by the plan or by the car's usual shifts. [Unix s]")
+        float | None, means("Time at which the shift ends, by the plan or by the car's earlier shifts. [Unix s]")
     ]
     soc_end_of_shift_pct: Annotated[
         Interval | None, means("State of charge at the end of the shift, including the candidate ride. [%]")

@@ -11,9 +11,9 @@ import numpy as np
 
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.forecast.engine import ForecastEngine
-from socast.core.forecast.learning.car_driver import KEPT_SHIFTS
 from socast.core.forecast.learning.fleet import ShiftEnergy
 from socast.core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord, Outcome
+from socast.core.forecast.learning.shift_patterns import KEPT_SHIFTS
 from socast.core.pipeline import Pipeline
 from socast.core.totals.sample_totals import BLOCK
 from socast.core.wire.messages import Leg, Message, Plan, encode

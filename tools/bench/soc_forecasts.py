@@ -35,7 +35,7 @@ from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.tools.bench.figures.published import make_parser, parse_seeds, write_json, write_table
-from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
+from socast.tools.bench.soc_goals import COMPARED, NO_PLANS, Judged, Line, check_goals
 from socast.tools.bench.soc_reference import compute_reference
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
@@ -71,10 +71,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--fleet", default="autumn", help=f"parts or fleets, of {', '.join(PARTS)}, all")
     parser.add_argument("--rides", type=int, default=20_000, help="number of rides of the preset")
     parser.add_argument("--recording", type=Path, help="recording to judge instead of fleets")
+    parser.add_argument("--no-plans", action="store_true", help="leave out the plans of that recording")
     options = parser.parse_args(arguments)
     console = Console()
     if options.recording is not None:
-        judged = [judge(options.recording.stem, 0, 0.0, McapSource(options.recording), None)]
+        name, source = options.recording.stem, McapSource(options.recording)
+        parts = (name + NO_PLANS, leave_out_plans(source)) if options.no_plans else (name, source)
+        judged = [judge(parts[0], 0, 0.0, parts[1], None)]
     else:
         judged = []
         for seed in parse_seeds(options.seeds):
@@ -129,6 +132,12 @@ def make_blocks(messages: Iterator[Message]) -> Iterator[list[Message]]:
     """Yield messages in lists."""
     while block := list(islice(messages, BLOCK)):
         yield block
+
+
+def leave_out_plans(source: Iterable[Sequence[Message]]) -> Iterator[list[Message]]:
+    """Yield messages in lists without the plans."""
+    for block in source:
+        yield [message for message in block if not message.key.endswith("/plan")]
 
 
 def judge(

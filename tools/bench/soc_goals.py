@@ -34,6 +34,8 @@ FEWEST_SHOWN: Final = 10
 FEWEST_FAULTY: Final = 20
 """Number of forecasts without which a fault counts as not forecast."""
 TROUBLES: Final = {"autumn-no-plan": "no plan", "autumn-no-shows": "no-shows", "autumn-plans": "plans 50 % wrong"}
+NO_PLANS: Final = ", no plans"
+"""Ends the name of a recording whose plans were left out."""
 NO_CHARGES: Final = FLEETS["autumn"]
 """Fleet without planned charges."""
 MOST_CHANGE: Final = 0.1
@@ -145,6 +147,14 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
 
 def _check_recording(name: str, cases: pd.DataFrame) -> Iterator[Line]:
     """Yield error, coverage and width of a recording of real cars."""
+    if name.endswith(NO_PLANS):
+        ahead = cases[cases["hours"] > 0]
+        yield _share(name, "0.5 to 6 h ahead: coverage", (0.85, 1.0), _held(ahead), ahead)
+        error = f"{_error(ahead, 'soc_mean_pct').mean():.1f}"
+        yield Line(name, "0.5 to 6 h ahead: MAE", "", error, "")
+        yield _bias(name, "0.5 to 6 h ahead", ahead)
+        yield _width(name, "0.5 to 6 h ahead", ahead)
+        return
     for hours in (0.5, 1, AHEAD):
         rows, where = cases[cases["hours"] == hours], f"{hours:g} h ahead"
         for baseline in ("rating", REGRESSION, REFERENCE):

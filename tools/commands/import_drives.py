@@ -254,8 +254,10 @@ def write_recording(
     if shifts:
         print_plain(console, _describe_shifts(shifts))
         drives = [drive for shift in shifts for drive in shift.drives]
-    planned = [plan for shift in shifts for plan in make_plans(shift)]
-    recording = sorted([*make_messages(drives, period), *planned], key=attrgetter("receipt_ns"))
+    plans = [make_plans(shift) for shift in shifts]
+    first, later = [each[0] for each in plans], [plan for each in plans for plan in each[1:]]
+    # a car knows its plan before its first sample; that of the other rides follows the last sample of one
+    recording = sorted([*first, *make_messages(drives, period), *later], key=attrgetter("receipt_ns"))
     chosen = dict(settings or {}) | ({} if shift_hours is None else {"shift_hours": shift_hours})
     with replace_recording(out, metadata=make_metadata("import", settings=chosen)) as sink:
         for start in _show_progress(range(0, len(recording), BLOCK), "writing"):

@@ -47,7 +47,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "tables": 1,
     "vehicles": 1,
     "verify": 1,
-    "waterfall": 2,
+    "waterfall": 3,
 }
 """Name -> format version of each JSON report.
 

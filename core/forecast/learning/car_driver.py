@@ -1,4 +1,4 @@
-"""Consumption factors of cars and drivers, and the usual pattern of each car's shifts, learned from shift to shift.
+"""Consumption factors of cars and drivers, learned from shift to shift.
 
 The logarithm of the used over the predicted energy of a shift is the sum of three parts: of the car, of its driver and
 of the day. A cold battery holds less, which adds a fourth part that is the same for all cars and proportional to the
@@ -7,10 +7,8 @@ Cars and drivers change, so the variance of each grows with each of their shifts
 drivers.
 """
 
-from collections import deque
 from hashlib import blake2b
-from math import log, nan
-from statistics import fmean, median
+from math import log
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -35,21 +33,10 @@ COLD_LOSS_SD: Final = 0.002
 """Standard deviation of that share. [1/K]"""
 LARGEST_LOG_ERROR: Final = 1.0
 """A shift with a larger logarithm of used over predicted energy is ignored. [1]"""
-LEAST_SHIFTS: Final = 3
-"""Number of shifts from which a car has a usual pattern."""
-KEPT_SHIFTS: Final = 20
-"""Number of newest shifts of a car that are remembered."""
 KEPT_DRIVERS: Final = 10_000
 """Number of drivers that are remembered, beside `DRIVERS_PER_CAR`: those with the newest shifts."""
 DRIVERS_PER_CAR: Final = 8
 """Number of drivers per car that are remembered; rarely do more share one, stand-ins included."""
-
-
-class ShiftPattern(NamedTuple):
-    """Hold the duration [h] of a shift, and its predicted energy over the usual energy of as many hours [1]."""
-
-    hours: float
-    relative_power: float
 
 
 class LogFactor(NamedTuple):
@@ -72,7 +59,6 @@ class ConsumptionFactors:
     """
 
     def __init__(self) -> None:
-        self._patterns: dict[int, deque[ShiftPattern]] = {}
         self._cars: dict[int, LogFactor] = {}
         self._drivers: dict[int, LogFactor] = {}  # the driver with the newest shift is the last
         self._cold_loss = LogFactor(COLD_LOSS, COLD_LOSS_SD**2)  # for each kelvin
@@ -128,35 +114,20 @@ class ConsumptionFactors:
     def __len__(self) -> int:
         return len(self._cars)
 
-    def add_pattern(self, lane: int, pattern: ShiftPattern) -> None:
-        """Remember the duration and intensity of a shift of a car."""
-        self._patterns.setdefault(lane, deque(maxlen=KEPT_SHIFTS)).append(pattern)
-
-    def get_usual_pattern(self, lane: int) -> ShiftPattern:
-        """Return the median duration and mean intensity of a car's shifts; NaN while there are too few."""
-        known = self._patterns.get(lane, ())
-        if len(known) < LEAST_SHIFTS:
-            return ShiftPattern(nan, nan)
-        return ShiftPattern(median(each.hours for each in known), fmean(each.relative_power for each in known))
-
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
-        self._cars, self._patterns = take_keys(self._cars, lanes), take_keys(self._patterns, lanes)
+        self._cars = take_keys(self._cars, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain lists."""
-        patterns = [(lane, list(known)) for lane, known in self._patterns.items()]
-        return list(self._cars.items()), list(self._drivers.items()), patterns, self._cold_loss
+        return list(self._cars.items()), list(self._drivers.items()), self._cold_loss
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        cars, drivers, patterns, cold_loss = state
+        cars, drivers, cold_loss = state
         self._cold_loss = LogFactor(*cold_loss)
         self._cars = {int(lane): LogFactor(*part) for lane, part in cars}
         self._drivers = {int(code): LogFactor(*part) for code, part in drivers}
-        self._patterns = {
-            int(lane): deque((ShiftPattern(*each) for each in known), maxlen=KEPT_SHIFTS) for lane, known in patterns
-        }
 
 
 def _update_part(part: LogFactor, residual: float, total: float, sd: float, shifts: int) -> LogFactor:

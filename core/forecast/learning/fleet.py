@@ -1,14 +1,14 @@
 """Statistics of a fleet: collected through the day, applied by the daily update.
 
 They hold what driving, waiting and the climate take (`energy_regression`), what is done of plans (`plan_outcomes`), the
-consumption factors of cars and drivers and the usual pattern of each car's shifts (`car_driver`), and the errors of
+consumption factors of cars and drivers (`car_driver`), each car's newest shifts (`shift_patterns`), and the errors of
 forecasts (`socast.core.forecast.conformal` and `forecast_errors`). All of them take effect when the next day begins. So
 a forecast depends on the day, and not on which other cars sent samples a moment earlier.
 """
 
 from collections.abc import Sequence
 from itertools import chain
-from math import exp
+from math import exp, isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from socast.core.cleaning.meters import FROZEN_SOC
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, weigh_day
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
-from socast.core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
+from socast.core.forecast.learning.car_driver import ConsumptionFactors
 from socast.core.forecast.learning.charged_soc import ChargedSoc
 from socast.core.forecast.learning.consumption_terms import (
     STRETCH_AMOUNTS,
@@ -36,6 +36,7 @@ from socast.core.forecast.learning.energy_regression import EnergyRegressions, S
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
+from socast.core.forecast.learning.shift_patterns import ShiftPatterns
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals, join_totals
@@ -50,8 +51,6 @@ LONGEST_SOAK: Final = 3600.0
 """After a longer idle period the car warms up on its ride, which is then not representative. [s]"""
 LONGEST_GAP: Final = 60.0
 """Time that may be missing in an idle period that counts. [s]"""
-SHIFT_PATTERN: Final = np.dtype([("hours", "f8"), ("relative_power", "f8")])
-"""Usual duration [h] and intensity [1] of a car's shifts, NaN where too few are known."""
 _USUAL: Final = (
     *("standing_power", "approach_energy", "warm_up_energy", "energy_per_km", "mean_power", "driving_energy_per_km"),
 )
@@ -70,7 +69,7 @@ class ShiftEnergy(NamedTuple):
     Parameters
     ----------
     driver : Code of the only driver, None where unknown or more than one.
-    predicted_kwh, used_kwh : Energy as predicted, and by the charge. [kWh]
+    predicted_kwh, used_kwh : Energy as predicted, and by the charge; the second is NaN where it is unknown. [kWh]
     capacity_kwh : Nominal usable capacity. [kWh]
     model : Vehicle model, empty where it is unknown.
     level : Level of the tables that predicted it, see `LegEnergyTables`. [1]
@@ -108,7 +107,7 @@ class FleetStatistics:
         self.daily_cycle, self.charged_soc, self.plan_outcomes = DailyCycle(), ChargedSoc(), PlanOutcomes()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
-        self._patterns = np.zeros(0, SHIFT_PATTERN)
+        self.patterns = ShiftPatterns()
         self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
         self.errors: dict[int, list[ShiftErrors] | None] = {}
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
@@ -119,7 +118,7 @@ class FleetStatistics:
         if len(self.prior) < lanes:
             prior = np.array(tuple(self.factors.expect(-1)), LOG_FACTOR_PRIOR)
             self.prior = grown(self.prior, lanes, prior)
-            self._patterns = grown(self._patterns, lanes, np.array((np.nan, np.nan), SHIFT_PATTERN))
+            self.patterns.grow(lanes)
 
     def add_stretches(self, rides: Totals, idle: Totals, begin: Floats) -> None:
         """Add rides and idle periods that have ended, in their order, if they are representative.
@@ -181,10 +180,9 @@ class FleetStatistics:
             part.apply_daily_update()
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
-            self._patterns[lane] = self.factors.get_usual_pattern(lane)
 
     def _learn_shifts(self) -> None:
-        """Learn the factors of cars and drivers, and the usual pattern of shifts, from those that have ended."""
+        """Learn the factors of cars and drivers, and the patterns of shifts, from those that have ended."""
         if not self._shifts:
             return
         self._update_kinds()
@@ -192,14 +190,14 @@ class FleetStatistics:
         ambient = np.array([energy.ambient_c for energy in self._shifts]) + ZERO_CELSIUS
         weights = compute_temperature_weights(ambient)
         power = sum_weighted(self._stacked["mean_power"][kinds], weights).tolist()
-        weight = weigh_day(len(self._shifts))
+        weight = weigh_day(sum(isfinite(energy.used_kwh) for energy in self._shifts))
         for energy, usual_kw in zip(self._shifts, power, strict=True):
             # what the tables have learned of the level since is not learned of the car as well
             predicted = energy.predicted_kwh * exp(self.energies.get_level(energy.model) - energy.level)
             known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
             self.factors.add_shift(*known, energy.ambient_c, weight)
             if (relative_power := predicted / (usual_kw * energy.hours)) > 0.0:  # false without tables
-                self.factors.add_pattern(energy.lane, ShiftPattern(energy.hours, relative_power))
+                self.patterns.add(energy.lane, energy.hours, relative_power)
         self._shifts = []
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
@@ -241,10 +239,6 @@ class FleetStatistics:
     def _interpolate(self, name: str, kinds: Ints, weights: Floats) -> Floats:
         """Return what the tables of kinds of car hold, at the temperature of each row."""
         return sum_weighted(self._stacked[name][kinds], weights)
-
-    def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
-        """Return the usual duration and intensity of the shifts of cars, (n,) SHIFT_PATTERN."""
-        return self._patterns[lanes]
 
     def _update_kinds(self) -> None:
         """Let every kind of car have tables, also those that appeared since the last daily update."""
@@ -297,7 +291,8 @@ class FleetStatistics:
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
         self.factors.keep(lanes)
-        self.prior, self._patterns = take_lanes(self.prior, lanes), take_lanes(self._patterns, lanes)
+        self.patterns.keep(lanes)
+        self.prior = take_lanes(self.prior, lanes)
 
     def _get_parts(self) -> tuple[Stateful, ...]:
         """Return what learns, in the order of the state."""
@@ -306,7 +301,7 @@ class FleetStatistics:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
+        arrays = self.prior.tobytes(), self.patterns.dump(), self.interval_outcomes.tobytes()
         errors = [(lane, of_lane and [each.dump() for each in of_lane]) for lane, of_lane in self.errors.items()]
         return [part.dump() for part in self._get_parts()], self._shifts, errors, *arrays
 
@@ -319,7 +314,7 @@ class FleetStatistics:
         self._shifts = [ShiftEnergy(*each) for each in shifts]
         self.errors = {int(lane): of_lane and [*map(ShiftErrors.load, of_lane)] for lane, of_lane in errors}
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
-        self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
+        self.patterns.load(patterns)
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()
 
 

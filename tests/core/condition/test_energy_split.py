@@ -7,14 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from socast.core.condition.energy_parts import DRAG_FORM_ERROR, FORM_ERROR, LIMIT, UNEXPLAINED, WAITING
 from socast.core.condition.energy_split import (
     DRIVEN_SLOWER,
     FLEET,
     GROUP_COLUMNS,
     LIKE_SIBLINGS,
-    LIMIT,
-    UNEXPLAINED,
-    WAITING,
     EnergySplit,
     split_energy,
 )
@@ -113,17 +111,68 @@ def test_energy_of_unknown_cause_is_unexplained():
     assert parts[UNEXPLAINED] == pytest.approx(0.2 * len(table), rel=0.01)
 
 
-def test_intervals_follow_from_the_covariance_of_the_fit():
-    table, sds = planted(200), np.array([0.1, 0.0, 0.2, 0.0, 0.05])
-    covariance = tuple(map(tuple, np.diag(sds**2).tolist()))
-    fleet = split_energy(table, fitted(1.0, 1.0, 1.0, 1.0, 1.0, covariance=covariance, clusters=10)).fleet
-    width = float(compute_half_widths(1.0, 9))
-    halves = {share.name: share.energy_kwh.ci95 for share in fleet.shares}
-    drag = float((table["effect_aero_drag"] * table["drag_area_m2"]).sum())
-    assert halves["aero_drag"] == pytest.approx(width * 0.2 * drag)
-    assert halves["climbing"] == 0.0
-    of_terms = [halves[term.name] for term in TERMS]
-    assert halves[UNEXPLAINED] == pytest.approx(np.sqrt(np.sum(np.square(of_terms))))
+def with_covariance(model, sds):
+    """Return a model whose coefficients have given standard errors."""
+    covariance = tuple(map(tuple, np.diag(np.square(sds)).tolist()))
+    return replace(model, fits={ANY: replace(model.fits[ANY], covariance=covariance, clusters=10)})
+
+
+def half_widths(group):
+    """Return half of the 95 % interval of each part of a group. [kWh]"""
+    return {share.name: share.energy_kwh.ci95 for share in group.shares}
+
+
+WIDTH = float(compute_half_widths(1.0, 9))
+
+
+def test_intervals_follow_from_the_covariance_of_the_fit_and_from_what_no_data_reduce():
+    table, sds = planted(200), [0.1, 0.0, 0.2, 0.0, 0.05]
+    fleet = split_energy(table, with_covariance(fitted(1.0, 1.0, 1.0, 1.0, 1.0), sds)).fleet
+    parts, halves = energies(fleet), half_widths(fleet)
+    assert halves["aero_drag"] == pytest.approx(np.hypot(WIDTH * 0.2, DRAG_FORM_ERROR) * parts["aero_drag"])
+    assert halves["climbing"] == pytest.approx(FORM_ERROR * abs(parts["climbing"]))
+    of_all = [WIDTH * sd * parts[term.name] for sd, term in zip(sds, TERMS, strict=True)]
+    assert halves[UNEXPLAINED] == pytest.approx(np.sqrt(np.sum(np.square(of_all))))
+
+
+def test_groups_have_no_intervals_because_they_differ_from_the_mean_of_all_rides():
+    model = with_covariance(fitted(1.0, 1.0, 1.0, 1.0, 1.0), [0.1] * 5)
+    result = split_energy(planted(100), model, by="car")
+    assert None not in half_widths(result.fleet).values()
+    assert {half for group in result.groups for half in half_widths(group).values()} == {None}
+
+
+def test_climbing_is_less_certain_where_heights_are_unknown():
+    table, model = planted(200), with_covariance(fitted(1.0, 1.0, 1.0, 1.0, 1.0), [0.0] * 5)
+    known = half_widths(split_energy(table, model).fleet)["climbing"]
+    flat = table["vehicle_id"] == CAR
+    some = split_energy(table.assign(effect_climbing=table["effect_climbing"].where(~flat, 0.0)), model)
+    missed = float(table.loc[flat, "effect_climbing"].sum())
+    assert abs(missed) < half_widths(some.fleet)["climbing"]
+    assert half_widths(some.fleet)["climbing"] > 3.0 * known
+    assert any(f"the heights of {flat.sum()} rides are unknown" in note for note in some.notes)
+    none = split_energy(table.assign(effect_climbing=0.0), model)
+    assert half_widths(none.fleet)["climbing"] is None
+    assert half_widths(none.fleet)["aero_drag"] > 0.0
+
+
+def test_slowing_gives_back_what_speeding_up_paid_and_braking_has_the_rest():
+    """Coefficients of slowing and braking that trade against each other change neither part."""
+    kinetic = {"effect_inertia_positive": 1.0, "effect_inertia_negative": -0.9, "effect_braking": 0.4}
+    table = planted(100).assign(**kinetic, effect_auxiliary=0.0)
+    terms, n = RECIPES["road_load_constant"].terms, 100
+    names = [term.name for term in terms]
+    one = dict.fromkeys(names, 1.0) | {"inertia_positive": 1.25, "braking": 0.3}
+    costs = ({"inertia_negative": 1.25}, {"inertia_negative": 1.05, "braking": 0.3 - 0.2 * 0.9 / 0.4})
+    models = [make_model("m", terms, [(one | cost)[name] for name in names]) for cost in costs]
+    plain, traded = (energies(split_energy(table, model).fleet) for model in models)
+    assert plain == pytest.approx(traded)
+    assert plain["inertia_negative"] == pytest.approx(-1.25 * 0.9 * n)
+    assert plain["braking"] == pytest.approx(0.3 * 0.4 * n)
+    errors = [0.1 if name == "inertia_negative" else 0.0 for name in names]
+    halves = half_widths(split_energy(table, with_covariance(models[0], errors)).fleet)
+    assert halves["inertia_negative"] == pytest.approx(FORM_ERROR * 1.25 * 0.9 * n)
+    assert halves["braking"] == pytest.approx(np.hypot(WIDTH * 0.1 * 0.9 * n, FORM_ERROR * plain["braking"]))
 
 
 def test_model_without_standard_errors_has_no_intervals_and_says_so():

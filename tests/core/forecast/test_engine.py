@@ -32,7 +32,7 @@ from tests.support.fleet_days import (
     shift,
     trained_pipeline,
 )
-from tests.support.telemetry import make_message
+from tests.support.telemetry import leaf, make_message, observed
 
 pytestmark = pytest.mark.long
 
@@ -211,6 +211,19 @@ def test_first_days_have_forecasts_with_wide_intervals(days_before):
     assert width(known[0]) > 1.3 * width(list(driven("c")[1].values())[2])
     end = columns("c", days_before)["soc_pct"][-1]
     assert known[-1].soc_end_of_shift_pct.mean == pytest.approx(end, abs=1.0)
+
+
+@pytest.mark.parametrize("sends", [True, False])
+def test_first_forecast_of_a_shift_knows_its_temperature(sends):
+    """By the car or by a station; a car that has sent nothing before has no temperature of yesterday either."""
+    sent = columns("c", DAYS)
+    sent["ambient_c"] = np.full(len(sent["time_s"]), -15.0 if sends else np.nan)
+    sky = observed(time=BEGIN, temperature_c=-15.0)
+    messages = [plan("c", DAYS, BEGIN), *(m for _, m in shift("c", DAYS, sent, planned=False))]
+    for pipeline in (trained_pipeline(settings=EACH), Pipeline(settings=EACH)):
+        out = forecasts(pipeline.push([leaf("c", BEGIN), sky, *messages[:9]]), "c")
+        first, second = (each.soc_end_of_shift_pct.mean for each in [*out.values()][:2])
+        assert first == pytest.approx(second, abs=3.0)
 
 
 def test_without_plan_forecast_uses_earlier_shifts():

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.learning.consumption_terms import LOST, TEMPERATURES
 from socast.core.forecast.learning.consumption_terms import START as STARTS
-from socast.core.forecast.learning.fleet import SHIFT_PATTERN
 from socast.core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT
+from socast.core.forecast.learning.shift_patterns import SHIFT_PATTERNS, SHIFT_SPREAD
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     FACTOR_DECAY_TIME,
@@ -268,16 +268,19 @@ def test_without_plan_the_energy_ahead_is_nan():
     assert np.isnan(none.reserve).all()
 
 
-def test_history_fills_in_only_without_plan_and_until_the_usual_end():
+def test_history_fills_in_only_without_plan_and_until_the_end_of_the_longest_known_shift():
     n = 4
     unknown = np.array([np.nan, np.nan, np.nan, 3.0])
     parts = np.column_stack([unknown, np.zeros(n)])
     reserve = np.array([np.nan, np.nan, np.nan, 0.3])
     plain = EnergyAhead(unknown, unknown, parts, unknown, unknown, unknown, reserve, np.zeros(n, np.int64))
     elapsed, now = np.array([3600.0, 3600.0 * 7.0, 3600.0, 3600.0]), np.full(n, BEGIN)
-    patterns = np.array([(hours, 1.2) for hours in (6.0, 6.0, np.nan, 6.0)], SHIFT_PATTERN)
+    patterns = np.full((n, 2, 20), np.nan)
+    patterns[[0, 1, 3], :, :4] = np.array([6.0, 1.2])[:, np.newaxis]
+    patterns = patterns.reshape(n, -1).view(SHIFT_PATTERNS)[:, 0]
     result = fill_from_history(plain, usual(n), elapsed, now, patterns)
     assert result.energy[0] == pytest.approx(1.2 * 5.0 * usual().mean_power[0])
+    assert result.sd[0] > SHIFT_SPREAD / 2.0 * result.energy[0]
     assert result.end[0] == BEGIN + 5.0 * 3600.0
     assert np.isnan(result.energy[1:3]).all()
     assert result.energy[3] == 3.0

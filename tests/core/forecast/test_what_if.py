@@ -362,7 +362,7 @@ def test_shift_longer_than_usual_has_no_forecast_but_its_ride_has():
     out = forecasts(pipeline.push([m for _, m in messages]), CAR)
     plain, queried = pipeline.ask(CAR), pipeline.ask(CAR, QUERIED_RIDE)
     assert out[max(out)].soc_end_of_shift_pct is plain.soc_end_of_shift_pct is plain.shift_end_s is None
-    assert "longer than this car's usual shifts" in plain.why_not
+    assert "already longer than every earlier one" in plain.why_not
     assert plain.reserve_soc_pct == queried.reserve_soc_pct == 100.0 * DEFAULT_RESERVE
     assert queried.shift_end_s == queried.time_s + QUERIED_RIDE.duration_s
     assert queried.soc_end_of_shift_pct == pytest.approx(queried.asked.soc_pct)

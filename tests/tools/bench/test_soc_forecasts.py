@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from socast.core.evaluate.soc.records import ImpossibleBounds
+from socast.core.wire.messages import Message
 from socast.tools.bench import soc_forecasts, soc_goals
-from socast.tools.bench.soc_forecasts import list_fleets, main
+from socast.tools.bench.soc_forecasts import leave_out_plans, list_fleets, main
 from socast.tools.bench.soc_goals import Judged
 from socast.tools.simulator.conditions import ABSENT, Conditions, DisplayFault
 from socast.tools.simulator.settings import get_fleet
@@ -66,6 +67,19 @@ def test_biased_forecasts_miss_the_cold_snap():
     first = f"first day of the cold snap, {soc_goals.AHEAD} h ahead"
     assert find(lines, f"{first}: bias").verdict == "missed"
     assert find(lines, "2 h ahead: MAE against regression").verdict == "missed"
+
+
+def test_recording_without_plans_is_judged_by_its_intervals_alone():
+    """Without a plan no person and no regression knows what is ahead."""
+    lines = soc_goals.check_goals([make_judged("leaf" + soc_goals.NO_PLANS)])
+    assert find(lines, "0.5 to 6 h ahead: coverage").verdict == "met"
+    assert not [line for line in lines if "against" in line.what]
+
+
+def test_plans_are_left_out():
+    keys = ["fleet/a/vehicle", "fleet/a/plan", "fleet/a/telemetry"]
+    blocks = [[Message(key, b"{}", 0) for key in keys], []]
+    assert [[m.key for m in block] for block in leave_out_plans(blocks)] == [[keys[0], keys[2]], []]
 
 
 def test_change_of_healthy_cars_is_found():

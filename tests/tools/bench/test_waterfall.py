@@ -34,13 +34,6 @@ def test_wheel_energy_counts_at_what_driving_costs_and_braking_has_the_rest():
     }
 
 
-def test_turning_motors_count_as_rolling():
-    truth = TermTruth()
-    truth.cars["a"] = {}
-    truth.rides = [{"vehicle_id": "a", "ride_id": "1", "terms_kwh": {"rolling": 2.0, "turning": 0.5}}]
-    assert sum_terms(truth, {("a", "1")})["rolling"] == 2.5
-
-
 def test_rows_tell_bias_and_how_often_the_truth_is_held():
     right, near, off = (
         TermEnergy(seed, "plain", "rolling", 10.0, value, 0.5, 4.0) for seed, value in enumerate((10.2, 10.8, 12.0))

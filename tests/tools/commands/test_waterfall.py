@@ -36,7 +36,7 @@ def result(written):
 
 
 def test_json_holds_parts_that_add_up_to_the_measured_energy(result, shift_tables):
-    assert result.pop("format") == {"report": "waterfall", "version": 2}
+    assert result.pop("format") == {"report": "waterfall", "version": 3}
     assert msgspec.convert(result, EnergySplit).price == 0.12
     rides = pd.read_parquet(shift_tables / "rides.parquet")
     fit = rides[rides["fit_for_training"]]
@@ -52,6 +52,8 @@ def test_parts_picture_and_sentences_are_printed(written, result):
     out = (written / "w.txt").read_text()
     share = result["fleet"]["shares"][0]
     assert f"{share['energy_kwh']['value']:.1f} ± {share['energy_kwh']['ci95']:.1f}" in out
+    per_km = share["per_100km_kwh"]
+    assert f"{per_km['value']:.2f} ± {per_km['ci95']:.2f}  █" in out  # the picture
     assert "57 of 61 rides" in out
     assert "Left out: 4 too short. Price: 0.12 per kWh." in out
     assert f"{result['fleet']['measured']['cost']:.2f}" in out

@@ -53,7 +53,7 @@ MEASUREMENTS: Final = {
     ),
     "condition": Measurement(2, (f"{_BENCH}.condition_fleets",)),
     "waterfall": Measurement(
-        10, (f"{_BENCH}.waterfall", "--publish", "--seeds", "3601-3610", "--json", "build/waterfall.json")
+        10, (f"{_BENCH}.waterfall", "--publish", "--seeds", "5101-5110", "--json", "build/waterfall.json")
     ),
     "siblings": Measurement(10, (f"{_BENCH}.siblings", "--publish", "--seeds", "325-334", "--keep", "build/siblings")),
     "coefficients": Measurement(

@@ -17,9 +17,9 @@ from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 
 RUNS: Final = {
-    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1360"),
-    "small": ("--fleet", "small", "--seeds", "1360-1365"),
-    "preset": ("--fleet", "preset", "--seeds", "1360", "--rides", "8000"),
+    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1470-1471"),
+    "small": ("--fleet", "small", "--seeds", "1470-1475"),
+    "preset": ("--fleet", "preset", "--seeds", "1470-1471", "--rides", "8000"),
 }
 """Fleets that are judged, with seeds on which nothing was chosen."""
 _BOTH: Final = re.compile(r"\(([\d.]+) against ([\d.]+)")
@@ -28,8 +28,8 @@ ABOUT: Final = (
     "snap 15 K below everything before, or a heat wave 10 K above; the other fleets whose names begin so have six "
     "cars over 25 days, in each of which something else goes wrong. `small` has three cars over 20 days, two of them "
     "with aged packs. `preset` is the fleet of the paper, 8,000 rides. Errors are in per cent of charge; scores are "
-    "relative to those of the regression on earlier days. The figures of one seed are uncertain by 2 to 3 points of "
-    "coverage, those of a single day or of ten shifts by 10 to 20 points."
+    "relative to those of the regression on earlier days. Coverage is uncertain by about 2 points, that of one day or "
+    "of twenty shifts by 10."
 )
 """What the table shows."""
 REAL_HOURS: Final = 3.0
@@ -39,7 +39,8 @@ PERIOD: Final = 3.0
 ABOUT_REAL: Final = (
     "`leaf` is the Nissan Leaf of the Vehicle Energy Dataset (135 rides, 10 months), `i3` the BMW i3 of Munich (31 "
     f"rides), in synthetic shifts of {REAL_HOURS:g} h. Each is one car whose first shift is forecast without any data "
-    "of it, so the figures are of few shifts: they tell which method is better, not by how much."
+    "of it, so the figures are of few shifts: they tell which method is better, not by how much. Without plans, a "
+    "forecast knows the car's earlier shifts only."
 )
 """What the table of real drives shows."""
 
@@ -69,8 +70,9 @@ def judge_real_drives(keep: Path, ved: Path, i3: Path) -> list[Line]:
     for name, data_set, folder in (("leaf", "ved", ved), ("i3", "bmw-i3", i3)):
         recording, file = keep / f"{name}.mcap", keep / f"{name}.json"
         write_recording(collect_drives([folder], DATA_SETS[data_set]), recording, PERIOD, REAL_HOURS)
-        judge(["--recording", str(recording), "--json", str(file)])
-        lines += [Line(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
+        for words in ([], ["--no-plans"]):
+            judge(["--recording", str(recording), *words, "--json", str(file)])
+            lines += [Line(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
     return lines
 
 

@@ -154,11 +154,11 @@ function drawEnergy(energy) {
     return el("div", { class: "share" },
       el("span", {}, what),
       el("span", { class: "track", "aria-hidden": "true" }, part),
-      el("span", {}, number(amount.value, 2), el("span", { class: "hidden" }, ` kWh per 100 km, ${number(100 * share)} %`)));
+      el("span", { class: "number" }, `${number(amount.value, 2)}${amount.ci95 ? ` ± ${number(amount.ci95, 2)}` : ""}`, el("span", { class: "hidden" }, ` kWh per 100 km, ${number(100 * share)} %`)));
   };
   return el("section", { class: "card stack", "aria-label": "Where the energy goes" },
     el("h2", {}, "Where the energy goes"),
     el("p", {}, `${number(energy.measured.energy_kwh.value, 1)} kWh over ${number(energy.distance_km)} km: ${number(energy.measured.per_100km_kwh.value, 2)} kWh/100 km. Of this, in kWh/100 km:`),
     el("div", { class: "shares" }, energy.shares.map(bar)),
-    el("p", { class: "note small" }, "Negative: given back to the motion or to the battery. The parts add up to the measured energy."));
+    el("p", { class: "note small" }, `Negative: given back to the motion or to the battery. The parts add up to the measured energy.${energy.shares.some((share) => share.per_100km_kwh.ci95) ? " ±: half of the 95 % interval." : ""}`));
 }

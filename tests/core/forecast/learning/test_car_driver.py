@@ -1,4 +1,4 @@
-"""Test that planted consumption factors of cars and drivers, and patterns of shifts, are recovered."""
+"""Test that planted consumption factors of cars and drivers are recovered."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,7 @@ from socast.core.forecast.learning.car_driver import (
     DAY_FACTOR_SD,
     DRIVER_SD,
     LARGEST_LOG_ERROR,
-    LEAST_SHIFTS,
     ConsumptionFactors,
-    ShiftPattern,
     compute_driver_code,
 )
 
@@ -129,23 +127,12 @@ def test_energy_read_from_a_large_battery_has_less_weight():
     assert 0.0 < large.expect(0)[0] < small.expect(0)[0]
 
 
-def test_usual_pattern_needs_a_few_shifts_and_is_their_median():
-    factors = ConsumptionFactors()
-    for number, hours in enumerate((6.0, 8.0, 7.0)):
-        assert np.isnan(factors.get_usual_pattern(0)).all() == (number < LEAST_SHIFTS)
-        factors.add_pattern(0, ShiftPattern(hours, 1.0 + 0.1 * number))
-    assert factors.get_usual_pattern(0) == pytest.approx((7.0, 1.1))
-    assert np.isnan(factors.get_usual_pattern(1)).all()
-
-
 def test_loaded_state_continues_as_uninterrupted():
     one, other = ConsumptionFactors(), ConsumptionFactors()
     week(np.random.default_rng(1), one)
-    one.add_pattern(0, ShiftPattern(7.0, 1.0))
     other.load(one.dump())
     for factors in (one, other):
         week(np.random.default_rng(2), factors)
-        factors.add_pattern(0, ShiftPattern(8.0, 1.2))
     assert one.dump() == other.dump()
 
 
