@@ -107,13 +107,13 @@ def determine_terms(
     known = cars.sum(axis=0)[: len(before), : len(before)]
     share = _compute_shares(before, known)
     rest = [i for i in names.values() if share[i] > DETERMINED]
+    slopes = {term.name for term in plain if not known[names[term.name]].any() and _takes_slope(term)}
     days = _count(before, known, rest, known / max(len(group.car), 1), MOST_DAYS)
     drives = {
         name: _count(before, known, rest, _inform(plain, group, fitted, figures, drive), MOST_DRIVES)
         for name, drive in DRIVES.items()
-        if rest
+        if rest and not (slopes and drive.grade)  # without elevation, no drive shows what hills do
     }
-    slopes = {term.name for term in plain if not known[names[term.name]].any() and _takes_slope(term)}
     found = []
     for name, i in names.items():
         able = {} if name in slopes else {drive: counts[i] for drive, counts in drives.items() if i in counts}

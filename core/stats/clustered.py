@@ -169,7 +169,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     estimate, count = compute_clustered_mean(holds.astype(np.float64), clusters), len(np.unique(clusters))
     n, share = float(len(holds)), estimate.value
     if not n or not estimate.freedom > 0.0:
-        return {"value": share, "low": nan, "high": nan, "clusters": count, "independent": nan}
+        return {"value": share, "low": nan, "high": nan, "clusters": count}
     if estimate.error > 0.0:
         stretch = float(compute_half_widths(1.0, n - 1.0) / compute_half_widths(1.0, estimate.freedom))
         independent = share * (1.0 - share) / (n - 1.0)
@@ -177,7 +177,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     else:
         n = float(count)
     low, high = compute_wilson_interval(share, n)
-    return {"value": share, "low": low, "high": high, "clusters": count, "independent": n}
+    return {"value": share, "low": low, "high": high, "clusters": count}
 
 
 def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
@@ -192,3 +192,16 @@ def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
     middle, half = share + square / (2.0 * n), sqrt(square * (share * (1.0 - share) / n + square / (4.0 * n * n)))
     whole = 1.0 + square / n
     return (middle - half) / whole if share > 0.0 else 0.0, (middle + half) / whole if share < 1.0 else 1.0
+
+
+def count_independent_cases(share: float, low: float, high: float) -> float:
+    """Return the number of independent cases that have the same interval of Wilson.
+
+    Examples
+    --------
+    >>> round(count_independent_cases(0.9, *compute_wilson_interval(0.9, 47.0)), 6)
+    47.0
+    """
+    square = (high - low) ** 2  # with u = z² / n: square (1 + u)² = 4 share (1 - share) u + u²
+    middle = 2.0 * share * (1.0 - share) - square
+    return NORMAL_95**2 * (middle + sqrt(middle**2 + (1.0 - square) * square)) / square
