@@ -110,7 +110,7 @@ def test_days_on_of_a_file_are_compared_with_days_off(tables, tmp_path):
         ((*SINCE, "--until", "2018-11-01"), "--until is 2018-11-01, and must be after --at, 2018-11-10"),
         ((*SINCE, "--toggle", "on.csv"), "--at is given with --toggle"),
         ((*SINCE, "--plan", "70%"), "the size is '70%'"),
-        ((*SINCE, "--days", "3"), "3 is not in the range 5 or more"),
+        ((*SINCE, "--days", "3"), "--days is '3', must be greater than or equal to 5"),
         (("--vehicles", "taxi-005", "--at", "2018-12-10", "--days", "5"), "give more than 5 days (--days), more rides"),
     ],
 )
