@@ -27,7 +27,7 @@ from socast.core.condition.known_events import place_events
 from socast.core.condition.level_model import CAPACITY, CONSUMPTION, YEAR, Path, Series, Wandering
 from socast.core.condition.level_steps import LevelStep, separate_steps, smooth_between_steps, subtract_steps
 from socast.core.condition.records import CarCondition, ConditionStep, FleetCondition, Trend
-from socast.core.diagnose.inference.scopes import KnownEvent
+from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.evaluate.compare.models import select_rides
 from socast.core.models import LinearModel
 from socast.core.records import ConfidenceInterval

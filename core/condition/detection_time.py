@@ -1,6 +1,7 @@
 """Foresee how many days after a campaign a change of consumption takes to be seen."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.special import ndtri
 from socast.core.batch import Ints
 from socast.core.condition.campaign import BEFORE, States
 from socast.core.condition.campaign_records import DetectionTime
-from socast.core.condition.step_fit import DeviationPanel, weigh_step
+from socast.core.condition.step_fit import DeviationPanel, compute_wander, weigh_step
 
 POWER: Final = 0.8
 """Probability with which the 90 % interval then excludes zero. [1]"""
@@ -24,6 +25,7 @@ def foresee_detection(
     errors = [_foresee_error(panel, row, states[row]) for row in rows]
     shared = 1.0 / (float(siblings[rows].min()) + 1.0)  # of the error of several cars beside the same siblings
 
+    @cache  # the search for each size begins with the same days
     def compute_error(days: int) -> float:
         variance = float(np.mean([error(days) ** 2 for error in errors]))
         return scale * (variance * (shared + (1.0 - shared) / len(rows))) ** 0.5
@@ -44,9 +46,9 @@ def _foresee_error(panel: DeviationPanel, row: int, state: States) -> Callable[[
 
     def compute_error(days: int) -> float:
         later = before[-1] + 1 + np.arange(1, days + 1)
-        every = panel._replace(dates=np.concatenate((before, later)))
+        wander = compute_wander(np.concatenate((before, later)), panel.found)
         variances = np.concatenate((panel.noise[row, used], np.full(days, noise)))
-        return weigh_step(every.compute_covariance(variances), np.arange(len(variances)) >= len(before))[1] ** 0.5
+        return weigh_step(wander, variances, np.arange(len(variances)) >= len(before))[1] ** 0.5
 
     return compute_error
 

@@ -130,7 +130,7 @@ class CarEnergyFactor(Record, frozen=True, kw_only=True):
     rides: Annotated[int, declare("Number of rides.", "rides", "count")]
     factor: Annotated[EstimatedValue, declare("Measured over predicted energy. [1]", "factor", "three decimals")]
     median: Annotated[
-        float, declare("Median factor of the cars of its vehicle model. [1]", "median of siblings", "three decimals")
+        float, declare("Median factor of the cars of its vehicle model. [1]", "median of its model", "three decimals")
     ]
     saved_kwh: Annotated[float, declare("Energy that the median would save. [kWh]", "would save, kWh", "signed")]
 
@@ -307,7 +307,7 @@ def _sum_group(
 
 
 def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEnergyFactor]:
-    """Return the factor of each car beside the median of its siblings, without what the model knows of single cars."""
+    """Return the factor of each car beside the median of its vehicle model, without what the model knows of single cars."""
     usual = forget_cars(model).predict_energy(chosen.rides)
     factors = list[tuple[str, str, int, float, EstimatedValue]]()
     names = chosen.rides[[VEHICLE_MODEL, VEHICLE]].astype(str)
@@ -338,7 +338,7 @@ def _compare_siblings(model: LinearModel, chosen: ComparedRides) -> list[CarEner
 
 
 def _save_like_siblings(cars: list[CarEnergyFactor], scale: _Scale) -> EnergySaving | str:
-    """Return what the median of the siblings would save, or why that is unknown."""
+    """Return what the median of the vehicle model would save, or why that is unknown."""
     if not cars:
         return f"{LIKE_SIBLINGS}: unknown, because fewer than {LEAST_SIBLINGS + 1} cars of one vehicle model drove"
     above = sum(max(car.saved_kwh, 0.0) for car in cars)

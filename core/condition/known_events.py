@@ -7,7 +7,7 @@ from datetime import date
 from msgspec.structs import replace
 
 from socast.core.condition.records import CarCondition, CarEvent, ConditionStep, FleetCondition, Trend
-from socast.core.diagnose.inference.scopes import KnownEvent
+from socast.core.diagnose.inference.events import KnownEvent
 
 
 def place_events(found: FleetCondition, events: Sequence[KnownEvent]) -> FleetCondition:

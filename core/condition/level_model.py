@@ -72,7 +72,7 @@ class Series(NamedTuple):
 
 
 class Wandering(NamedTuple):
-    """Hold the standard deviations of a quantity, or the prior of them.
+    """Hold the standard deviations of a quantity and how often it changes suddenly, or the prior of them.
 
     Parameters
     ----------
@@ -84,12 +84,15 @@ class Wandering(NamedTuple):
         That of the change of the level in a year. [1]
     rate : float
         That of the rates of cars. [1/year]
+    steps : float
+        Number of sudden changes of a car that is expected before any data. [1/year]
     """
 
     of_day: float
     of_amount: float
     wander: float
     rate: float
+    steps: float = 1.0
 
     def compute_variances(self) -> tuple[float, float, float]:
         """Return the variance of the first level, of its wandering in a day, and of the rate. [1], [1/d], [1/d^2]"""
@@ -98,8 +101,12 @@ class Wandering(NamedTuple):
 
 CONSUMPTION: Final = Wandering(0.04, 0.15, 0.01, 0.03)
 """Prior of the consumption of cars: a car differs by 4 % from day to day, and ages by some per cent a year."""
-CAPACITY: Final = Wandering(0.02, 0.5, 0.01, 0.04)
-"""Prior of the usable capacity: batteries lose 1 to 4 % a year, and each reading is uncertain by a per cent."""
+CAPACITY: Final = Wandering(0.02, 0.5, 0.01, 0.04, 0.3)
+"""Prior of the usable capacity: batteries lose 1 to 4 % a year, seldom at once; readings are uncertain by 1 %."""
+WANDER_SD: Final = 1.5
+"""Scale of a half-normal prior of the wander over which it is averaged, over its first guess. [1]"""
+_WANDERS: Final = np.append(0.0, np.geomspace(0.1, 6.4, 13))
+"""Wanders over which is averaged, over the first guess. [1]"""
 _PRIOR_SDS: Final = np.log([2.0, 2.0, 2.0])
 """Standard deviations of the logarithms of the first three of a prior."""
 
@@ -144,15 +151,39 @@ def estimate_wandering(series: Series, prior: Wandering) -> tuple[Wandering, Ser
     At most `MOST_CARS` cars, evenly spaced, tell the variances.
     """
     found, out = prior, series
-    every = max(-(-len(series.value) // MOST_CARS), 1)
     for _ in range(ROUNDS):
-        found = _maximise(Series(out.dates, *(each[::every] for each in out[1:])), prior)
+        found = _maximise(_select_cars(out), prior)
         level, variance, noise = _predict_levels(out, found._replace(wander=QUICK))
         plain = series.compute_variance(found)
         off = (series.value - level) ** 2 / np.maximum(variance - noise + plain, 1e-12)
         heavier = (off + FREEDOM) / (FREEDOM + 1.0)
         out = _add_variance(series, plain * np.maximum(heavier - 1.0, 0.0))
     return found, _add_variance(series, plain * (INFORMATION * heavier - 1.0))
+
+
+def average_wander(series: Series, heavy: Series, found: Wandering, prior: Wandering) -> Wandering:
+    """Return the sizes with the root of the mean square of the wander, over all that the series leave possible.
+
+    The most probable wander of a small fleet may be far too small, and the intervals of rates with it. The variance of
+    a rate is nearly linear in the square of the wander, so that its mean gives the width of the mixture over all.
+
+    Parameters
+    ----------
+    heavy, found :
+        What `estimate_wandering` returns for the series and this prior.
+    """
+    plain = series.compute_variance(found)
+    used = _add_variance(series, np.maximum(heavy.compute_variance(found) / INFORMATION - plain, 0.0))
+    wanders = prior.wander * _WANDERS
+    logs = np.array([_compute_likelihood(_select_cars(used), found._replace(wander=each)) for each in wanders.tolist()])
+    chances = np.exp(logs - logs.max() - 0.5 * (_WANDERS / WANDER_SD) ** 2) * np.gradient(_WANDERS)
+    return found._replace(wander=float(np.sqrt(np.average(wanders**2, weights=chances))))
+
+
+def _select_cars(series: Series) -> Series:
+    """Return at most `MOST_CARS` cars, evenly spaced."""
+    every = max(-(-len(series.value) // MOST_CARS), 1)
+    return Series(series.dates, *(each[::every] for each in series[1:]))
 
 
 def _add_variance(series: Series, more: Floats) -> Series:
@@ -168,7 +199,7 @@ def _maximise(series: Series, prior: Wandering) -> Wandering:
 
     def unpack(log: Floats) -> Wandering:
         of_day, of_amount, wander = np.exp(log).tolist()
-        return Wandering(of_day, of_amount, wander, prior.rate)
+        return prior._replace(of_day=of_day, of_amount=of_amount, wander=wander)
 
     def compute_loss(log: Floats) -> float:
         loss = 0.5 * float((((log - middle) / _PRIOR_SDS) ** 2).sum())

@@ -27,6 +27,7 @@ from socast.core.condition.level_model import (
     Path,
     Series,
     Wandering,
+    average_wander,
     estimate_wandering,
     smooth_cars,
 )
@@ -35,8 +36,6 @@ from socast.core.condition.step_mixture import NO_SHOCK, mix_shocks
 
 STEP_SD: Final = 0.06
 """Standard deviation of the size of a step before any data. [1]"""
-STEPS_A_YEAR: Final = 1.0
-"""Number of steps of a car in a year that is expected before any data."""
 REPORTED: Final = 0.8
 """Probability of a step from which it is reported. [1]"""
 SUSPECTED: Final = 0.5
@@ -84,12 +83,13 @@ def separate_steps(series: Series, prior: Wandering) -> tuple[Wandering, Series,
     quiet, every = found._replace(wander=min(found.wander, prior.wander)), max(-(-len(series.value) // MOST_CARS), 1)
     suspected = _list_steps(rough, quiet, SUSPECTED, every)
     for _ in range(ROUNDS):
-        found, heavy = estimate_wandering(subtract_steps(series, suspected), prior)
+        without = subtract_steps(series, suspected)
+        found, heavy = estimate_wandering(without, prior)
         heavy, before = heavy._replace(value=series.value), suspected
         suspected = _list_steps(heavy, found, SUSPECTED, every)
         if all([a.since for a in of] == [b.since for b in was] for of, was in zip(suspected, before, strict=True)):
             break
-    return found, heavy, _list_steps(heavy, found, REPORTED)
+    return average_wander(without, heavy, found, prior), heavy, _list_steps(heavy, found, REPORTED)
 
 
 def subtract_steps(series: Series, steps: list[list[LevelStep]]) -> Series:
@@ -129,7 +129,7 @@ def find_steps(
     mean = float(np.average(value, weights=1.0 / variance))
     for _ in range(MOST_STEPS):
         car = smooth_level(value, variance, gaps, shocks, start=mean, variances=variances)
-        step, at = _find_step(dates, car)
+        step, at = _find_step(dates, car, found.steps)
         if step.probability < least:
             break
         steps.append(step)
@@ -164,18 +164,21 @@ class _Evidence(NamedTuple):
         return order[: int(np.searchsorted(np.cumsum(chances[order]), DATE_SHARE)) + 1]
 
 
-def _weigh_steps(dates: Floats, score: Floats, information: Floats) -> _Evidence:
-    """Return the evidence of a step on each date with enough measurements before and after."""
+def _weigh_steps(dates: Floats, score: Floats, information: Floats, steps: float) -> _Evidence:
+    """Return the evidence of a step on each date with enough measurements before and after.
+
+    Units: steps [1/year].
+    """
     places = np.arange(LEAST_SIDE, len(dates) - LEAST_SIDE + 1)
     precise, match = information[places] + STEP_SD**-2.0, score[places]
     evidence = 0.5 * match**2 / precise - 0.5 * np.log(precise * STEP_SD**2)
-    prior = STEPS_A_YEAR * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
+    prior = steps * max(float(dates[-1] - dates[0]), 1.0) / YEAR / len(places)
     return _Evidence(places, prior * np.exp(np.clip(evidence, -50.0, 600.0)), match / precise, 1.0 / precise)
 
 
-def _find_step(dates: Floats, car: SmoothedLevel) -> tuple[LevelStep, int]:
-    """Return the most likely step, and the place of its date."""
-    found = _weigh_steps(dates, car.score, car.information)
+def _find_step(dates: Floats, car: SmoothedLevel, steps: float) -> tuple[LevelStep, int]:
+    """Return the most likely step, and the place of its date, where so many are expected in a year."""
+    found = _weigh_steps(dates, car.score, car.information, steps)
     chances, inside, best = found.odds / found.odds.sum(), found.rank_likely(), int(np.argmax(found.odds))
     size = float(chances @ found.sizes)
     sd = float(np.sqrt(chances @ (found.variances + (found.sizes - size) ** 2)))
@@ -196,9 +199,8 @@ def smooth_between_steps(series: Series, found: Wandering, steps: list[list[Leve
     for car in smooth_cars(series, found, [[each.since for each in of_car] for of_car in steps]):
         known, added = np.flatnonzero(car.known), NO_SHOCK
         if len(known) >= 2 * LEAST_SIDE:
-            weighed = _weigh_steps(
-                series.dates[known].astype(np.float64), car.smoothed.score[known], car.smoothed.information[known]
-            )
+            evidence = car.smoothed.score[known], car.smoothed.information[known]
+            weighed = _weigh_steps(series.dates[known].astype(np.float64), *evidence, found.steps)
             if (chance := weighed.probability) >= WEIGHED:
                 likely = np.sort(weighed.rank_likely())
                 chances = chance * weighed.odds[likely] / weighed.odds[likely].sum()

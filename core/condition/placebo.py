@@ -48,11 +48,13 @@ def try_placebos(
     allowed = {int(row): np.ones(len(panel.dates), np.bool_) for row in others}
     allowed |= {row: campaign.classify(cars[row], panel.dates) == BEFORE for row in rows}
     shifts = shifts[:: max(len(allowed) * len(shifts) // (10 * MOST_PLACEBOS), 1)]
+    moves = {shift: _move(panel, campaign, pattern, shift) for shift in shifts.tolist()}
+    has_days = {row: allowed[row] & np.isfinite(panel.value[row]) for row in allowed}
     moved = [
         (row, shift, state)
         for row in allowed
-        for shift in shifts.tolist()
-        if (state := _move(panel, campaign, pattern, shift, row, allowed[row])) is not None
+        for shift, states in moves.items()
+        if (state := _keep_days(states, has_days[row])) is not None
     ]
     every = -(-len(moved) // MOST_PLACEBOS)
     tried = [_Placebo(row, shift, fit_step(panel, row, state)) for row, shift, state in moved[:: max(every, 1)]]
@@ -61,7 +63,7 @@ def try_placebos(
         weights = np.array([each.fit.weight / each.fit.variance**0.5 for each in tried if each.row == row])
         if len(weights):
             noise = np.where(np.isfinite(panel.value[row]), panel.noise[row], 0.0)
-            together += float(((weights @ panel.compute_covariance(noise) @ weights.T) ** 2).sum())
+            together += float(((weights @ (panel.wander + np.diag(noise)) @ weights.T) ** 2).sum())
     made = [
         PlaceboCampaign(
             vehicle_id=cars[each.row],
@@ -74,16 +76,19 @@ def try_placebos(
     return made, len(made) ** 2 / together if together else 0.0
 
 
-def _move(
-    panel: DeviationPanel, campaign: Campaign, car: str, shift: int, row: int, allowed: NDArray[np.bool_]
-) -> States | None:
-    """Return the states of the days of a car as if the campaign was some days later, None with too few of them."""
+def _move(panel: DeviationPanel, campaign: Campaign, car: str, shift: int) -> States:
+    """Return the states of the days of a car as if the campaign was some days later."""
     origin = panel.dates - shift
     state = campaign.classify(car, origin)
     if campaign.at is None:
         state = np.where((origin >= panel.dates[0]) & (origin <= panel.dates[-1]), state, OUT).astype(np.int8)
-    state = np.where(allowed & np.isfinite(panel.value[row]), state, OUT).astype(np.int8)
-    enough = min((state == BEFORE).sum(), (state == AFTER).sum()) >= LEAST_DAYS
+    return state
+
+
+def _keep_days(state: States, kept: NDArray[np.bool_]) -> States | None:
+    """Return states in which other days are left out, None with too few of those that are left."""
+    state = np.where(kept, state, np.int8(OUT))
+    enough = min(np.count_nonzero(state == BEFORE), np.count_nonzero(state == AFTER)) >= LEAST_DAYS
     return state if enough else None
 
 

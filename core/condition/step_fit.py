@@ -13,6 +13,8 @@ References
 Aitken, Proceedings of the Royal Society of Edinburgh 55 (1936) 42, DOI 10.1017/S0370164600014346.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +27,8 @@ from socast.core.condition.car_days import LEAST_SIBLINGS, estimate_day_noise, s
 from socast.core.condition.level_model import CONSUMPTION, YEAR, Series, Wandering, estimate_wandering
 
 
-class DeviationPanel(NamedTuple):
+@dataclass(frozen=True)
+class DeviationPanel:
     """Hold deviations of n cars on t dates, the variance of their noise, and that part of it that siblings cause."""
 
     dates: Ints
@@ -34,9 +37,10 @@ class DeviationPanel(NamedTuple):
     shared: Floats
     found: Wandering
 
-    def compute_covariance(self, noise: Floats) -> Floats:
-        """Return the covariance of the values of a car, up to its level."""
-        return _compute_wander(self.dates, self.found) + np.diag(noise)
+    @cached_property
+    def wander(self) -> Floats:
+        """Covariance of the level of a car on all dates, up to a constant and an unknown rate, (t, t)."""
+        return compute_wander(self.dates, self.found)
 
 
 class StepFit(NamedTuple):
@@ -101,7 +105,7 @@ def estimate_panel(
     return DeviationPanel(deviation.dates, deviation.value, np.where(later, noise[n:], noise[:n]), shared, found), split
 
 
-def _compute_wander(dates: Ints, found: Wandering) -> Floats:
+def compute_wander(dates: Ints, found: Wandering) -> Floats:
     """Return the covariance of a level that wanders from the first date on, with an unknown rate."""
     time = (dates - dates[0]).astype(np.float64)
     rate = (found.rate / YEAR) ** 2 * np.outer(time - time.mean(), time - time.mean())
@@ -111,18 +115,19 @@ def _compute_wander(dates: Ints, found: Wandering) -> Floats:
 def fit_step(panel: DeviationPanel, row: int, state: States) -> StepFit:
     """Return the change of a car by generalised least squares."""
     used = np.isfinite(panel.value[row]) & (state != OUT)
-    short = panel._replace(dates=panel.dates[used])
-    estimator, variance = weigh_step(short.compute_covariance(panel.noise[row, used]), state[used] == AFTER)
+    wander = panel.wander[np.ix_(used, used)]
+    estimator, variance = weigh_step(wander, panel.noise[row, used], state[used] == AFTER)
     level, size = (estimator @ panel.value[row, used]).tolist()
     weight = np.zeros(len(panel.dates))
     weight[used] = estimator[1]
     return StepFit(size, variance, level, weight)
 
 
-def weigh_step(covariance: Floats, after: NDArray[np.bool_]) -> tuple[Floats, float]:
+def weigh_step(wander: Floats, noise: Floats, after: NDArray[np.bool_]) -> tuple[Floats, float]:
     """Return the weights of values in level and change (2, n), and the variance of the change."""
     design = np.column_stack((np.ones(len(after)), after))
-    solved = cho_solve(cho_factor(covariance, lower=True), design)
+    factor = cho_factor(wander + np.diag(noise), lower=True, check_finite=False)
+    solved = cho_solve(factor, design, check_finite=False)
     inverse = np.linalg.inv(design.T @ solved)
     return inverse @ solved.T, float(inverse[1, 1])
 
@@ -135,7 +140,7 @@ def combine_steps(
     The level of a deviation wanders with that of the mean of n siblings, a share 1/(n + 1) of its variance. Cars
     without siblings share the weather, to an unknown extent: their errors count as if they were the same.
     """
-    wander = _compute_wander(panel.dates, panel.found)
+    wander = panel.wander
     covariance = np.diag([fit.variance for fit in fits])
     for i, first in enumerate(rows):
         for j, second in enumerate(rows[:i]):

@@ -33,10 +33,10 @@ from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.inference.alternatives import count_dates
+from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
 from socast.core.diagnose.inference.posterior import Inference, infer_missing
-from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.partial_residual import compute_partial_residual
 from socast.core.diagnose.projection import BaseProjection

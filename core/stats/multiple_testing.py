@@ -60,10 +60,10 @@ def adjust_false_discovery(p: Floats) -> Floats:
     >>> adjust_false_discovery(np.array([0.01, np.nan, 0.04])).tolist()
     [0.02, nan, 0.04]
     """
-    from scipy.stats import false_discovery_control  # noqa: PLC0415 - takes a second to import
-
-    q, tested = np.full(len(p), np.nan), ~np.isnan(p)
-    q[tested] = false_discovery_control(p[tested])
+    order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # NaN is last
+    scaled = p[order] * (len(order) / np.arange(1, len(order) + 1))
+    q = np.full(len(p), np.nan)
+    q[order] = np.minimum(np.minimum.accumulate(scaled[::-1])[::-1], 1.0)
     return q
 
 

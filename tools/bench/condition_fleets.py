@@ -28,10 +28,8 @@ from socast.tools.bench.figures.published import make_parser, publish, write_goa
 FIRST: Final = date(2018, 9, 1).toordinal()
 """First date of the made-up fleets."""
 CARS: Final = 8
-FLEETS: Final = 100
+FLEETS: Final = 300
 """Number of fleets of each kind."""
-LIMIT_FLEETS: Final = 300
-"""Number of fleets on which the limit of tests is measured."""
 SEED: Final = 4400
 """First seed, on which nothing was chosen."""
 FALSE: Final = 0.006
@@ -103,17 +101,17 @@ def make_batteries(
     return Series(FIRST + time, value, fall**2, np.zeros((cars, days)))
 
 
-def draw_steps(fleets: int, days: int) -> Iterator[tuple[int, float]]:
+def draw_steps(days: int) -> Iterator[tuple[int, float]]:
     """Yield the place and the sign of the step of each fleet."""
     rng = np.random.default_rng(SEED)
-    for _ in range(fleets):
+    for _ in range(FLEETS):
         yield int(rng.integers(days // 5, 4 * days // 5)), float(rng.choice([-1.0, 1.0]))
 
 
 def measure_limit(cars: int, days: int, size: float) -> list[list[str]]:
     """Return how often a likelihood ratio that knows all variances finds the steps of `judge_steps`."""
     healthy, stepped, near = list[tuple[float, float]](), list[tuple[float, float]](), list[bool]()
-    for number, (at, sign) in enumerate(draw_steps(LIMIT_FLEETS, days)):
+    for number, (at, sign) in enumerate(draw_steps(days)):
         series, with_step = (make_fleet(SEED + number, cars, days, step=step, at=at) for step in (0.0, sign * size))
         car, day = np.nonzero(np.isfinite(series.value))
         same_car, same_day = car[:, np.newaxis] == car, day[:, np.newaxis] == day
@@ -151,7 +149,7 @@ def _weigh(steps: Floats, value: Floats, place: int) -> tuple[float, float, int]
 def judge_steps(cars: int, days: int, size: float) -> list[list[str]]:
     """Return how steps of one car in each fleet are found, and what they do to the others."""
     found, near, held, sized, now, false = [], [], [], [], [], list[bool]()
-    for number, (at, sign) in enumerate(draw_steps(FLEETS, days)):
+    for number, (at, sign) in enumerate(draw_steps(days)):
         series = make_fleet(SEED + number, cars, days, step=sign * size, at=at)
         fleet = follow_beside_siblings(series, ["m"] * cars)
         driven = fleet.series.dates[np.isfinite(fleet.series.value[0])]
@@ -254,9 +252,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows += [judge_constant(wander) for wander in WANDERS[:-1]]
     about = (
         f"{FLEETS} made-up fleets for each line, seeds from {SEED} on, whose laws are not those of the model: noise "
-        "with heavy tails, alternating drivers, weather that dates share, a season. The tests that know all variances, "
-        f"on {LIMIT_FLEETS} fleets, call {100 * FALSE:.1f} % of healthy cars stepped. In parentheses: 95 % interval "
-        "(Wilson)."
+        "with heavy tails, alternating drivers, weather that dates share, a season. The tests that know all variances "
+        f"call {100 * FALSE:.1f} % of healthy cars stepped. In parentheses: 95 % interval (Wilson)."
     )
     command = "python -m socast.tools.bench.condition_fleets"
     publish("condition", command, [about, "", *write_table(HEADS, rows)])

@@ -17,9 +17,8 @@ from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from socast.core.diagnose.gains import LEAST_GAIN
-from socast.core.diagnose.inference.events import read_events
+from socast.core.diagnose.inference.events import KnownEvent, read_events
 from socast.core.diagnose.inference.groups import read_groups
-from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.diagnose.leading import find_addable
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.effects import ROAD_LOAD

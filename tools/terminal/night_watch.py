@@ -16,8 +16,7 @@ from rich.console import Console
 
 from socast.core.condition.records import CarCondition, Trend
 from socast.core.diagnose.findings import list_changes
-from socast.core.diagnose.inference.events import read_events
-from socast.core.diagnose.inference.scopes import KnownEvent
+from socast.core.diagnose.inference.events import KnownEvent, read_events
 from socast.core.errors import SettingsError, read_input
 from socast.core.files import UNREADABLE
 from socast.core.fit.ride_blocks import get_names

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Lanes
+from socast.core.cleaning import elevation, elevation_filter
 from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.elevation_filter import (
     ESTIMATE,
@@ -21,6 +22,7 @@ from socast.core.cleaning.elevation_filter import (
     smooth_back,
 )
 from socast.core.cleaning.elevation_smoother import cut_rides, find_noise, prepare_ride, smooth_elevation
+from socast.core.compiled_cache import njit, watch_sources
 from socast.tools.verify.differences import Tallies, measure_differences
 from socast.tools.verify.elevation_witness import Decisions, smooth_with_filterpy
 
@@ -28,6 +30,22 @@ NO_ELEVATION: Final = "ride without elevation"
 """Cause for which the rows of a ride are passed over."""
 FORGOTTEN: Final = 0.5 * STEEP**2
 """Excess of the variance of a slope over its prediction, from which the slope was forgotten. [1]"""
+
+
+@njit(cache=True)
+def _filter(ride: Any, noise: tuple[float, float, float], predicted: Any, updated: Any, begins: Any) -> None:
+    """Call `filter_ride`, which the cache keeps only as a part of another function."""
+    filter_ride(ride, noise, predicted, updated, begins)
+
+
+@njit(cache=True)
+def _smooth(distance: Any, begins: Any, predicted: Any, updated: Any) -> None:
+    """Call `smooth_back`, which the cache keeps only as a part of another function."""
+    smooth_back(distance, begins, predicted, updated)
+
+
+for _function in (_filter, _smooth):
+    watch_sources(_function, elevation_filter, elevation)
 
 
 class ElevationSteps:
@@ -57,9 +75,9 @@ def compare_ride(ride: RideSteps, noise: tuple[float, float, float]) -> tuple[fl
     """Return the largest differences of the smoothed means and covariances of a ride, segment by segment."""
     predicted, updated = np.zeros((2, len(ride.fix)), ESTIMATE)
     begins = np.zeros(len(ride.fix), np.bool_)
-    filter_ride(ride, noise, predicted, updated, begins)
+    _filter(ride, noise, predicted, updated, begins)
     decided = find_decisions(ride, noise[0], predicted, updated, begins)
-    smooth_back(ride.distance, begins, predicted, updated)
+    _smooth(ride.distance, begins, predicted, updated)
     differences = []
     for begin, end in pairwise([*np.flatnonzero(begins).tolist(), len(begins)]):
         rows = slice(begin, end)

@@ -1,5 +1,6 @@
 """Write a form outside the library as text: its formula, its unit, and a source file to edit."""
 
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from socast.core.diagnose.forms.terms import FormTerm, Modulator
@@ -78,6 +79,7 @@ def format_source_file(term: FormTerm, coefficient: float, windows: int) -> str:
     )
 
 
+@lru_cache(1024)
 def _write(modulator: Modulator) -> _Written:
     """Return a modulator as a formula and as code."""
     x, code, unit = modulator.variable.symbol, modulator.variable.code, modulator.variable.unit

@@ -163,7 +163,7 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
 
 def count_dates(energy: Floats, date: Ints) -> Floats:
     """Return the effective number of dates of each row, the squared sum over the sum of squares; (k, d) to (k,)."""
-    of_date = energy @ csr_array((np.ones(len(date)), (np.arange(len(date)), date)))
+    of_date = energy @ csr_array((np.ones(len(date)), date, np.arange(len(date) + 1)))
     return np.asarray(of_date.sum(axis=1) ** 2 / np.maximum((of_date**2).sum(axis=1), 1e-300))
 
 
@@ -219,13 +219,11 @@ class _Products:
         rows = {name: np.flatnonzero(effect == name) for name in sorted(set(effect.tolist()))}
         for one, at in rows.items():
             beside[at] = weight[at] @ self.get_beside(one)
-            for other, to in rows.items():
-                if other < one:
-                    continue
-                of_day = self.sums[:, self.first + one, self.first + other]
-                part = (weight[at] * of_day) @ weight[to].T
-                own[at[:, np.newaxis], to] = part
-                own[to[:, np.newaxis], at] = part.T
+            later = np.flatnonzero(effect >= one)
+            of_day = self.sums[:, self.first + one, self.first + effect[later]]
+            part = weight[at] @ (weight[later].T * of_day)
+            own[at[:, np.newaxis], later] = part
+            own[later[:, np.newaxis], at] = part.T
         beside *= size[:, np.newaxis]
         along = solve_triangular(self.lower, beside[:, :-1].T, lower=True)
         return own * np.outer(size, size) - along.T @ along, beside[:, -1] - along.T @ self.along

@@ -2,16 +2,33 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from socast.core.diagnose.inference.csv_file import read_csv
-from socast.core.diagnose.inference.scopes import KnownEvent
 from socast.core.errors import ModelError
 
 DATE: Final = "date"
 VEHICLE: Final = "vehicle_id"
 WHAT: Final = "what"
 """Columns of the file; the last two may be absent. A line without a car is an event of all cars."""
+
+
+class KnownEvent(NamedTuple):
+    """Hold a known event that may have changed a car.
+
+    Parameters
+    ----------
+    date : str
+        First date after it. [UTC]
+    vehicle : str
+        The car; empty for all cars.
+    what : str
+        What happened, in the words of the file; empty where it says nothing.
+    """
+
+    date: str
+    vehicle: str = ""
+    what: str = ""
 
 
 def read_events(path: Path) -> list[KnownEvent]:

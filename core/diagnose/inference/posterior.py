@@ -31,12 +31,12 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm
 from socast.core.diagnose.inference.alternatives import Alternatives, log_share_within, select_alternatives
+from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
 from socast.core.diagnose.inference.scopes import (
     PRIOR_EFFECT,
     Family,
-    KnownEvent,
     Timing,
     list_families,
     list_unknown,

@@ -13,6 +13,7 @@ George and McCulloch, Journal of the American Statistical Association 88 (1993) 
 """
 
 from collections import Counter
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -68,44 +69,81 @@ class Sample(NamedTuple):
     together: dict[int, int]
 
 
+class _Odds:
+    """Hold the distributions of what each family has beside a set of alternatives of other families.
+
+    Parameters
+    ----------
+    odds : (k,) float
+        Log odds of each alternative beside the set.
+    open_rows : (m,) int
+        Alternatives of the families that are not in the set.
+    """
+
+    def __init__(self, odds: Floats, open_rows: Ints) -> None:
+        self.odds = odds
+        self.open_rows = open_rows
+        self._of_family: dict[int, tuple[Floats, Floats]] = {}
+
+    def of_family(self, family: int, rows: Ints) -> tuple[Floats, Floats]:
+        """Return the probabilities of the alternatives of a family and of none, and their cumulative sums."""
+        if family not in self._of_family:
+            chances = normalise(np.append(self.odds[rows], 0.0))
+            self._of_family[family] = chances[:-1], _accumulate(chances)
+        return self._of_family[family]
+
+    @cached_property
+    def of_open(self) -> Floats:
+        """Cumulative probabilities of the alternatives of the families that are not in the set."""
+        return _accumulate(normalise(self.odds[self.open_rows]))
+
+
 def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
     """Return the probability of each alternative, and the set that is most often true together."""
     rng = np.random.default_rng(seed)
     rows = {family: np.flatnonzero(given.family == family) for family in sorted(set(given.family.tolist()))}
-    state: dict[int, int | None] = dict.fromkeys(rows)
+    families, every = np.array(list(rows)), np.arange(len(given.family))
+    state: dict[int, int] = {}
     total = np.zeros(len(given.family))
     sets: Counter[tuple[int, ...]] = Counter()
+    kept: dict[tuple[int, ...], _Odds] = {}
 
-    every, kept = np.arange(len(given.family)), dict[tuple[int, ...], Floats]()
-
-    def weigh(without: int) -> Floats:
+    def weigh(without: int) -> _Odds:
         """Return the odds of each alternative beside what is true in other families than one."""
-        others = tuple(at for family, at in state.items() if at is not None and family != without)
+        true = [family for family in sorted(state) if family != without]
+        others = tuple([state[family] for family in true])
         if others not in kept:
             if len(kept) >= MOST_KEPT:
                 kept.clear()
-            kept[others] = weigh_further(given, list(others), every) + given.log_odds
+            odds = weigh_further(given, list(others), every) + given.log_odds
+            kept[others] = _Odds(odds, np.concatenate([rows[each] for each in rows if each not in true]))
         return kept[others]
 
     for sweep in range(SWEEPS):
-        for family in rng.permutation(list(rows)).tolist():
-            odds = weigh(family)[rows[family]]
-            chances = normalise(np.append(odds, 0.0))
-            drawn = int(rng.choice(len(chances), p=chances))
-            state[family] = None if drawn == len(odds) else int(rows[family][drawn])
+        for family in rng.permutation(families).tolist():
+            chances, cumulative = weigh(family).of_family(family, rows[family])
+            drawn = int(cumulative.searchsorted(rng.random(), side="right"))
+            state.pop(family, None)
+            if drawn < len(chances):
+                state[family] = int(rows[family][drawn])
             if sweep >= BURNT:
-                total[rows[family]] += chances[:-1]
-        for family in [family for family, at in state.items() if at is not None]:  # one moves to any free family
-            open_rows = np.concatenate([rows[each] for each in rows if each == family or state[each] is None])
-            odds = weigh(family)[open_rows]
-            drawn = int(rng.choice(open_rows, p=normalise(odds)))
-            state[family] = None
+                total[rows[family]] += chances
+        for family in sorted(state):  # one moves to any free family
+            beside = weigh(family)
+            drawn = int(beside.open_rows[beside.of_open.searchsorted(rng.random(), side="right")])
+            del state[family]
             state[int(given.family[drawn])] = drawn
         if sweep >= BURNT:
-            sets[tuple(sorted(int(given.family[at]) for at in state.values() if at is not None))] += 1
+            sets[tuple(sorted(state))] += 1
     chances = total / (SWEEPS - BURNT)
     most = max(sets, key=lambda families: (sets[families], families)) if sets else ()
     return Sample(chances, {family: int(rows[family][np.argmax(chances[rows[family]])]) for family in most})
+
+
+def _accumulate(chances: Floats) -> Floats:
+    """Return cumulative probabilities, of which the last is 1."""
+    cumulative = chances.cumsum()
+    return np.asarray(cumulative / cumulative[-1])
 
 
 def normalise(odds: Floats) -> Floats:

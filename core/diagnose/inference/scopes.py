@@ -13,6 +13,7 @@ import numpy as np
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.diagnose.records import UNKNOWN
 from socast.core.effects.declaration import VARIANT
@@ -74,24 +75,6 @@ class Timing(NamedTuple):
     since: str | None = None
     before: str | None = None
     begin: float | None = None
-
-
-class KnownEvent(NamedTuple):
-    """Hold a known event that may have changed a car.
-
-    Parameters
-    ----------
-    date : str
-        First date after it. [UTC]
-    vehicle : str
-        The car; empty for all cars.
-    what : str
-        What happened, in the words of the file; empty where it says nothing.
-    """
-
-    date: str
-    vehicle: str = ""
-    what: str = ""
 
 
 class Family(NamedTuple):

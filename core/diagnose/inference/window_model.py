@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.window_columns import CAR_DIRECTIONS, SHAPES, WindowColumns
@@ -211,9 +211,7 @@ class WindowModel:
 
     def assemble(self, sums: Floats) -> Floats:
         """Return the sums of days at the places of the coefficients and, last, of the energy, (F + 1, F + 1)."""
-        part = sums[:, self._source][:, :, self._source]
-        width = self.size + 1
-        return np.asarray(np.bincount(self._flat, part.ravel(), width * width).reshape(width, width), dtype=np.float64)
+        return np.asarray(self._adding @ sums.ravel()).reshape(self.size + 1, -1)
 
     def locate_known(self) -> slice:
         """Return the places of the known effects among the coefficients."""
@@ -292,7 +290,11 @@ class WindowModel:
         source.append(S + D + base + common)
         place.append(np.full(days, at))
         self._source, self._place = np.array(source), np.stack(place, axis=1)
-        self._flat = (self._place[:, :, np.newaxis] * (at + 1) + self._place[:, np.newaxis, :]).ravel()
+        q = S + D + base + common + 1
+        here = self._source[:, np.newaxis] * q + self._source + q * q * np.arange(days)[:, np.newaxis, np.newaxis]
+        there = self._place[:, :, np.newaxis] * (at + 1) + self._place[:, np.newaxis, :]
+        shape = (at + 1) ** 2, days * q * q
+        self._adding = csr_array((np.ones(here.size), (there.ravel(), here.ravel())), shape)
 
     def _scale(self, log_spread: Floats) -> Floats:
         """Return the spread of each coefficient, and 1 for the energy."""
@@ -357,10 +359,7 @@ class WindowModel:
         by_total = -0.5 * np.outer(outer, outer)
         by_total[:size, :size] -= 0.5 * inverse
         by_total *= np.outer(scale, scale)
-        width = len(self._source)
-        spread = np.zeros((days.sums.shape[1], width))
-        spread[self._source, np.arange(width)] = 1.0
-        by_sums = spread @ by_total.ravel()[self._flat].reshape(-1, width, width) @ spread.T
+        by_sums = np.asarray(self._adding.T @ by_total.ravel()).reshape(days.sums.shape)
         by_days, by_variance = days.pass_back(by_sums)
         by_spread[DAYS] -= 2.0 * by_variance * np.exp(2.0 * log_spread[DAYS])
         times = np.empty_like(rides.beside)
@@ -368,14 +367,13 @@ class WindowModel:
             times[own] = rides.beside[own] @ (-2.0 * by_days[day])
         by_variance, by_own, by_beside = rides.pass_back(times, None, None)
         by_spread[RIDES] += by_variance * np.exp(2.0 * log_spread[RIDES])
-        by_factor = float((by_days * sums.days).sum()) + 0.5 * n
+        by_factor = float(np.vdot(by_days, sums.days)) + 0.5 * n
         by_factor -= 0.5 * float((by_own * rides.own).sum() + (by_beside * rides.beside).sum())
         return value, np.append(by_spread, by_factor)
 
 
-def _place_loads(loads: Floats, unit: Ints) -> csr_array:
+def _place_loads(loads: Floats, unit: Ints) -> csc_array:
     """Return the loads of windows as a matrix of the loads of each unit by windows, (units S, n)."""
     rows = (unit[:, np.newaxis] * S + np.arange(S)).ravel()
-    return csr_array(
-        (loads.ravel(), (rows, np.repeat(np.arange(len(loads)), S))), ((int(unit.max()) + 1) * S, len(loads))
-    )
+    shape = (int(unit.max()) + 1) * S, len(loads)
+    return csc_array((loads.ravel(), rows, np.arange(0, loads.size + 1, S)), shape)

@@ -4,7 +4,7 @@ from msgspec.structs import replace
 
 from socast.core.condition.known_events import place_events
 from socast.core.condition.records import CarCondition, CarEvent, ConditionStep, FleetCondition, Trend
-from socast.core.diagnose.inference.scopes import KnownEvent
+from socast.core.diagnose.inference.events import KnownEvent
 
 DATES = ["2018-11-01", "2018-11-05", "2018-11-12", "2018-11-13", "2018-11-20", "2018-11-28"]
 

@@ -5,15 +5,17 @@ import pytest
 
 from socast.core.condition.car_days import subtract_siblings
 from socast.core.condition.level_model import (
+    CAPACITY,
     CONSUMPTION,
     LEVEL_SD,
     YEAR,
     Series,
     Wandering,
+    average_wander,
     estimate_wandering,
     smooth_levels,
 )
-from socast.tools.bench.condition_fleets import FIRST, make_fleet
+from socast.tools.bench.condition_fleets import FIRST, make_batteries, make_fleet
 
 KNOWN = Wandering(0.03, 0.15, 0.02, 0.03)
 
@@ -58,6 +60,26 @@ def test_intervals_of_rates_hold_the_truth():
         path = smooth_levels(heavy, found)
         held += list(np.abs(path.rate) < 1.96 * path.rate_sd)
     assert 0.88 <= np.mean(held) <= 0.99
+
+
+@pytest.mark.parametrize("wander", [0.005, 0.02])
+def test_intervals_of_rates_hold_the_truth_where_capacities_wander(wander):
+    held = []
+    for seed in range(40):
+        fleet = make_batteries(seed, wander=wander)
+        found, heavy = estimate_wandering(fleet, CAPACITY)
+        path = smooth_levels(heavy, average_wander(fleet, heavy, found, CAPACITY))
+        held += list(np.abs(path.rate + 0.02) < 1.96 * path.rate_sd)
+    assert 0.92 <= np.mean(held) <= 0.98
+
+
+def test_averaged_wander_is_the_most_probable_one_where_much_tells_it():
+    for cars, days, low, high in ((60, 300, 0.9, 1.1), (3, 40, 1.2, 4.0)):
+        fleet = make_batteries(3, cars, days, wander=0.02)
+        found, heavy = estimate_wandering(fleet, CAPACITY)
+        averaged = average_wander(fleet, heavy, found, CAPACITY)
+        assert averaged._replace(wander=found.wander) == found
+        assert low < averaged.wander / found.wander < high
 
 
 def test_rate_is_not_drawn_towards_zero_by_its_prior():

@@ -58,6 +58,16 @@ def test_few_days_have_no_step():
     assert find_steps(np.arange(5.0), np.array([0.0, 0.0, 0.0, 1.0, 1.0]), np.full(5, 1e-4), QUIET) == []
 
 
+def test_a_step_is_as_probable_as_it_was_expected():
+    rng, dates = np.random.default_rng(4), np.arange(100.0)
+    value = 0.03 * rng.normal(size=100) + np.where(dates >= 50, 0.03, 0.0)
+    odds = []
+    for expected in (1.0, 0.25):
+        (step,) = find_steps(dates, value, np.full(100, 0.03**2), QUIET._replace(steps=expected), least=0.01)[:1]
+        odds.append(step.probability / (1.0 - step.probability))
+    assert odds[0] == pytest.approx(4.0 * odds[1])
+
+
 def test_steps_are_subtracted():
     fleet = make_fleet(2, step=0.08, at=60)
     without = subtract_steps(fleet, steps_of(fleet))

@@ -106,14 +106,6 @@ def test_single_car_is_held_against_its_own_past_only():
     assert cars == []
 
 
-@pytest.mark.parametrize("groups", [None, GROUPS])
-def test_findings_without_planted_effect_are_rare(groups):
-    """A fleet has a false finding with a probability of 0.1 at most, and two of four with one of 0.05."""
-    searches = [find({}, seed=seed, groups=groups, of_day=0.03, of_ride=0.002) for seed in range(4)]
-    assert sum(found != [] for found, _ in searches) <= 1
-    assert {len(cars) for _, cars in searches} == {4}
-
-
 def test_fault_of_one_day_is_an_episode_and_no_deviation():
     """A single day with much energy in bends determines the coefficient of bends of its car."""
     table = make_windows(4)

@@ -10,6 +10,8 @@ from socast.core.diagnose.projection import BaseProjection
 from socast.core.fit.ride_blocks import get_numbers
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
+pytestmark = pytest.mark.long
+
 
 def find(table, unknown=0.0, **more):
     """Return the episodes of a fleet with energy of an unknown cause, and the projection beside them."""

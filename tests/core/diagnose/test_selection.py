@@ -66,11 +66,6 @@ def test_effect_of_a_variant_is_named_by_its_effect(variant):
     assert list_names(select((variant, 0.08), of_day=0.0)) == [variant.partition("@")[0]]
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_nothing_is_named_without_planted_effect(seed):
-    assert list_names(select(seed=seed, of_day=0.03, of_ride=0.003)) == []
-
-
 @pytest.mark.parametrize("pair", PAIRS)
 def test_two_planted_effects_are_both_named(pair):
     assert set(list_names(select(*((name, min(PLAUSIBLE[name], 0.05)) for name in pair), of_day=0.01))) == set(pair)

@@ -19,6 +19,8 @@ from tests.support.synthetic_windows import (
     make_windows,
 )
 
+pytestmark = pytest.mark.long
+
 VARIABLES = {"crowded": "occupants", "low battery": "charge", "gusty": "wind"}
 
 

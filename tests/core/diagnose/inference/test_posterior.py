@@ -8,6 +8,8 @@ import pytest
 from tests.support.inferences import infer
 from tests.support.synthetic_windows import compute_coefficients, make_tables, make_windows
 
+pytestmark = pytest.mark.long
+
 SINCE = "since=2018-05-17"
 GROUPS = {"taxi-0": "north", "taxi-1": "south", "taxi-2": "south", "taxi-3": "north"}
 CASES = {

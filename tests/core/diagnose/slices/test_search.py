@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from socast.core.diagnose.slices.predicates import CONDITION_SCALES, choose_thresholds, list_conditions
 from socast.core.diagnose.slices.search import find_slices
 
+pytestmark = pytest.mark.long
+
 
 def fleet(count, vehicles=6, days=20, seed=0):
     """Return rides of one year, and errors with a part per ride (0.1 kWh) and a part per vehicle-day (0.03 kWh)."""
