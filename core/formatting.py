@@ -18,6 +18,8 @@ _EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
         "m/s": lambda value: f"{value / KMH:.3g} km/h",
     }
 )
+SDS_95: Final = 1.96
+"""Half of a 95 % interval over the standard deviation, of a normal distribution. [1]"""
 _MINUS: Final = re.compile(r"(?<!\w)-(?=[\d.])")
 _RANGE: Final = re.compile(r"^(\d+)-(\d+)$")
 _SIGNED_ZERO: Final = re.compile(r"(?<![\w.])[-+](?=0(?:\.0*)?(?![\d.,eE]))")
@@ -143,3 +145,14 @@ def word_date(text: str) -> str:
     """
     day = datetime.fromisoformat(text)
     return f"{day.day} {day:%B %Y}"
+
+
+def format_half_width(sd: float | None, digits: int) -> str:
+    """Return half of the 95 % interval of a number by its standard deviation, as text behind it; empty if unknown.
+
+    Examples
+    --------
+    >>> format_half_width(0.5, 1), format_half_width(None, 1)
+    (' ± 1.0', '')
+    """
+    return "" if sd is None or not isfinite(sd) else f" ± {SDS_95 * sd:.{digits}f}"

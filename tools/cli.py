@@ -140,10 +140,14 @@ _PIECE: Final = re.compile(r" (?=--?[a-z]|\| )")
 """Space in an example at which a line may end: before an option or a pipe."""
 _ARGUMENT: Final = re.compile(r"\{(.+?)(?:\.\.\.)?\}((?:\.\.\.)?)|\[(\[.+\])\]")
 """An argument as typer writes it in a usage line: `{NAME}`, `{NAME}...` or `[[NAME]]`."""
+_TYPE: Final = re.compile(r"<int[a-z ]*>")
+"""A whole number as typer writes it beside the name of an option."""
+_RANGE: Final = re.compile(r"(-?[\d.e+]+)<=x<=(-?[\d.]+(?:e\+\d+)?)|x>=(-?\d+(?:\.\d+)?)")
+"""A range as typer writes it."""
 
 
 class PlainCommand(TyperCommand):
-    """Write the arguments of a command by their names alone, without the braces and the types that typer adds."""
+    """Write arguments by their names alone, without the braces and types that typer adds, and ranges in words."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; an error about a value of a settings file names the file and the line."""
@@ -168,11 +172,11 @@ class PlainCommand(TyperCommand):
             if (record := parameter.get_help_record(ctx)) is None:
                 continue
             is_argument = parameter.param_type_name == "argument"
-            name = record[0].partition(" <")[0] if is_argument else record[0]
+            name = record[0].partition(" <")[0] if is_argument else _TYPE.sub("N", record[0])
             title = (
                 "Arguments" if is_argument else (are_many and getattr(parameter, "rich_help_panel", None)) or "Options"
             )
-            rows.setdefault(title, []).append((name, record[1]))
+            rows.setdefault(title, []).append((name, word_ranges(record[1])))
         for title, of_title in rows.items():
             if of_title:
                 with formatter.section(title):
@@ -203,6 +207,24 @@ def application(chosen: str | None = None) -> typer.Typer:
         else:
             app.command(name, cls=PlainCommand, help=help_text(loaded), short_help=command.summary)(loaded)
     return app
+
+
+def word_ranges(text: str) -> str:
+    """Return a text in which ranges of numbers, as typer writes them, are in words.
+
+    Examples
+    --------
+    >>> word_ranges("[default: 3.0; 0.1<=x<=60.0]"), word_ranges("1 is not in the range x>=5.")
+    ('[default: 3.0; 0.1 to 60]', '1 is not in the range 5 or more.')
+    """
+    return _RANGE.sub(
+        lambda match: (
+            " to ".join(end.removesuffix(".0") for end in match.groups()[:2])
+            if match[1]
+            else f"{match[3].removesuffix('.0')} or more"
+        ),
+        text,
+    )
 
 
 def help_text(command: Callable[..., Any] | None) -> str:
@@ -302,7 +324,7 @@ def _usage(error: UsageError, chosen: str | None) -> str:
     """Return what is wrong with a call: value, limit and where to read on; the help text where no command is given."""
     if error.ctx and error.message == error.ctx.get_help():
         return str(error.message)
-    words = error.format_message().rstrip(".")
+    words = word_ranges(error.format_message().rstrip("."))
     wrong: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     if wrong:  # typer leaves the value out
         name, message = error.param.get_error_hint().strip("'"), wrong[0]["msg"]

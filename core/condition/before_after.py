@@ -104,7 +104,8 @@ def _check_days(car: str, value: Floats, state: States, campaign: Campaign, *, i
     for words, wanted in ((before, BEFORE), (after, AFTER)):
         count = int((np.isfinite(value) & (state == wanted)).sum())
         if count < LEAST_DAYS and not (is_planned and wanted == AFTER):
-            remedy = "more rides, or another date or window" if campaign.at else "more rides, or other days"
+            longer = f"more than {format_count(campaign.days, 'day')} (--days), " if campaign.days else ""
+            remedy = f"{longer}more rides, or another date" if campaign.at else "more rides, or other days"
             raise ModelError(
                 f"{car} has {format_count(count, 'day')} with measurements {words}, and a comparison takes "
                 f"{LEAST_DAYS}: give {remedy}"

@@ -39,6 +39,10 @@ MOST_DRIVES: Final = 10
 """Largest number of drives that is worth naming."""
 MINUTES: Final = 30
 """Length of a drive. [min]"""
+LEVEL_PREFIX: Final = "accessories: "
+"""Beginning of the name of a level of the accessory curve."""
+ELEVATION: Final = "elevation"
+"""What rides lack whose roads have no slope at all: measured elevation varies on level roads too."""
 DRIVER: Final = 75.0
 """Mass of the driver. [kg]"""
 
@@ -97,21 +101,22 @@ def determine_terms(
     plain = tuple(term for term in terms if not is_curved(term))
     names = {term.name: i for i, term in enumerate(plain)}
     if group.curved:
-        names |= {f"accessories: {level}": group.terms + i for i, level in enumerate(LEVELS)}
+        names |= {f"{LEVEL_PREFIX}{level}": group.terms + i for i, level in enumerate(LEVELS)}
     before = np.sqrt(np.diag(group.prior.covariance))
     cars = integrate_car_factor(fitted.elimination.cars, fitted.spreads.car).sums
     known = cars.sum(axis=0)[: len(before), : len(before)]
     share = _compute_shares(before, known)
     rest = [i for i in names.values() if share[i] > DETERMINED]
+    slopes = {term.name for term in plain if not known[names[term.name]].any() and _takes_slope(term)}
     days = _count(before, known, rest, known / max(len(group.car), 1), MOST_DAYS)
     drives = {
         name: _count(before, known, rest, _inform(plain, group, fitted, figures, drive), MOST_DRIVES)
         for name, drive in DRIVES.items()
-        if rest
+        if rest and not (slopes and drive.grade)  # without elevation, no drive shows what hills do
     }
     found = []
     for name, i in names.items():
-        able = {drive: counts[i] for drive, counts in drives.items() if i in counts}
+        able = {} if name in slopes else {drive: counts[i] for drive, counts in drives.items() if i in counts}
         best = min(able, key=able.__getitem__, default="")
         found.append(
             Determination(
@@ -121,9 +126,16 @@ def determine_terms(
                 days=days.get(i),
                 drive=best,
                 drives=able.get(best),
+                missing=ELEVATION if name in slopes else "",
             )
         )
     return found
+
+
+def _takes_slope(term: Term) -> bool:
+    """Return whether a term needs the elevation of the road."""
+    names = [name.removeprefix(EFFECT_PREFIX) for name in term.columns if name.startswith(EFFECT_PREFIX)]
+    return any("grade" in effects.get(name).arguments for name in names)
 
 
 def _compute_shares(before: Floats, information: Floats) -> Floats:

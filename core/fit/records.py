@@ -56,6 +56,7 @@ class Determination(Record, frozen=True):
     ] = None
     drive: Annotated[str, declare("Kind of a drive of 30 min that determines it soonest; empty for none.")] = ""
     drives: Annotated[int | None, declare("Number of such drives; None for more than 10.")] = None
+    missing: Annotated[str, declare("What the rides lack, so that no drive determines it.")] = ""
 
 
 class FittedCurve(Record, frozen=True):

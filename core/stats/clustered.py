@@ -25,7 +25,9 @@ from socast.core.batch import Floats
 from socast.core.stats.scores import NORMAL_95, UNKNOWN, Codes, Estimate, compute_half_widths
 
 LEAST_CLUSTERS: Final = 30
-"""Number of clusters below which a share is too uncertain to be shown as a figure."""
+"""Number of clusters, or of independent cases, below which a share is too uncertain to be shown as a figure."""
+FEWEST_CLUSTERS: Final = 10
+"""Number of clusters below which they do not tell how many independent cases they are worth."""
 SPARSE: Final = 16
 """Largest code over the number of cases above which codes are renumbered before they are counted. [1]"""
 
@@ -190,3 +192,16 @@ def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
     middle, half = share + square / (2.0 * n), sqrt(square * (share * (1.0 - share) / n + square / (4.0 * n * n)))
     whole = 1.0 + square / n
     return (middle - half) / whole if share > 0.0 else 0.0, (middle + half) / whole if share < 1.0 else 1.0
+
+
+def count_independent_cases(share: float, low: float, high: float) -> float:
+    """Return the number of independent cases that have the same interval of Wilson.
+
+    Examples
+    --------
+    >>> round(count_independent_cases(0.9, *compute_wilson_interval(0.9, 47.0)), 6)
+    47.0
+    """
+    square = (high - low) ** 2  # with u = z² / n: square (1 + u)² = 4 share (1 - share) u + u²
+    middle = 2.0 * share * (1.0 - share) - square
+    return NORMAL_95**2 * (middle + sqrt(middle**2 + (1.0 - square) * square)) / square

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
 from socast.core.files import UNREADABLE
-from socast.core.formatting import format_count
+from socast.core.formatting import format_count, format_half_width
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.core.wire.plan_checks import ShownParameter, ShownParameters, parse_leg, parse_plan, parse_vehicle
 from socast.stream.zenoh_queryable import query_outlook
@@ -37,6 +37,8 @@ OPTIONS: Final[ShownParameters] = {
 """The options of a ride."""
 LONGEST_S: Final = 3600.0
 """Longest permitted wait for an answer. [s]"""
+INTERVALS: Final = {"(": "in brackets: 90 % interval", "±": "±: half of the 95 % interval"}
+"""Mark of an interval in a figure -> which interval it is."""
 _CLOCK: Final = "%H:%M %Z"
 _SAYS: Final = {
     "YES": "{} can",
@@ -71,7 +73,8 @@ def ask_outlook(
     """Ask a live consumer whether a car can take a ride and still finish above its reserve.
 
     Without a ride the question is about the shift as planned. The answer is YES for a risk below 5 %, NO above 50 %,
-    and UNCERTAIN between. The figures in brackets are 90 % intervals. Every answer exits with code 0.
+    and UNCERTAIN between. The figures in brackets are 90 % intervals, and ± is half of a 95 % interval. Every answer
+    exits with code 0.
 
     Examples
     --------
@@ -107,8 +110,12 @@ def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
     """Print the answer: first one word, then a sentence, then the figures."""
     word, sentence = verdict(outlook)
     console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
-    for name, figure in figures(outlook, zone):
+    shown = list(figures(outlook, zone))
+    for name, figure in shown:
         print_plain(console, f"  {name:<14} {figure}")
+    meanings = [words for mark, words in INTERVALS.items() if any(mark in figure for _, figure in shown)]
+    if meanings:
+        print_plain(console, f"  {'; '.join(meanings)}", style="dim")
 
 
 def verdict(outlook: Outlook) -> tuple[str, str]:
@@ -222,11 +229,9 @@ def _planned(legs: Sequence[LegOutlook]) -> str:
 
 def _now(outlook: Outlook, zone: tzinfo | None) -> str:
     """Return the text of the state of charge, the usable capacity and the time of the sample."""
-    soc = f"{outlook.soc_pct:.1f}"
-    if outlook.soc_sd_pct is not None:
-        soc += f" ± {outlook.soc_sd_pct:.1f}"
+    soc = f"{outlook.soc_pct:.1f}{format_half_width(outlook.soc_sd_pct, 1)}"
     of = ""
     if outlook.usable_capacity_kwh is not None:
-        sd = f" ± {outlook.usable_capacity_sd_kwh:.1f}" if outlook.usable_capacity_sd_kwh is not None else ""
-        of = f" of {outlook.usable_capacity_kwh:.1f}{sd} kWh"
+        half = format_half_width(outlook.usable_capacity_sd_kwh, 1)
+        of = f" of {outlook.usable_capacity_kwh:.1f}{half} kWh"
     return f"{soc} %{of}, by a sample of {format_local(outlook.time_s, '%Y-%m-%d %H:%M %Z', zone)}"

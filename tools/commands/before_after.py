@@ -10,7 +10,7 @@ import pandas as pd
 import typer
 
 from socast.core.condition.before_after import LEAST_CAMPAIGN_KWH, compare_before_after
-from socast.core.condition.campaign import SIZES, Campaign, CampaignSpan
+from socast.core.condition.campaign import LEAST_DAYS, SIZES, Campaign, CampaignSpan
 from socast.core.condition.campaign_records import BeforeAfter
 from socast.core.condition.car_days import gather_car_days, list_car_day_columns, select_car_day_columns
 from socast.core.diagnose.inference.csv_file import read_csv
@@ -64,7 +64,7 @@ def compare(
     ] = None,
     until: Annotated[str | None, typer.Option(metavar="DATE", help="Last UTC date that counts.")] = None,
     days: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Count only N days before and N days after.")
+        int | None, typer.Option(metavar="N", min=LEAST_DAYS, help="Count only N days before and N days after.")
     ] = None,
     toggle: Annotated[
         Path | None,
@@ -161,9 +161,15 @@ def read_spans(file: Path | TextIO, cars: tuple[str, ...] = (), name: str = "") 
     path = file if isinstance(file, Path) else name
     table = read_csv(file, str(path))
     columns = next((pair for pair in SPANS if set(pair) <= set(table)), None)
-    if columns is None or (VEHICLE not in table and not cars):
+    if columns is None:
         raise SettingsError(
-            f"{path} has the columns {', '.join(map(str, table))}: its header must be {VEHICLE},begin,end"
+            f"{path} has the columns {', '.join(map(str, table))}: its header must be {VEHICLE},begin,end, or "
+            "begin,end with --vehicles"
+        )
+    if VEHICLE not in table and not cars:
+        raise SettingsError(
+            f"{path} has no column {VEHICLE}, and no cars are named: give them with --vehicles, such as taxi-005, or "
+            "add the column"
         )
     spans = []
     for line, row in enumerate(table.to_dict("records"), start=2):

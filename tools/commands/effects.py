@@ -161,7 +161,7 @@ def _tabulate(listed: Iterable[Effect]) -> Table:
         Column("effect", fixed=True),
         Column("formula", ratio=1),
         Column("coefficient", ratio=1),
-        Column("plausible", fixed=True),
+        Column("plausible"),
         Column("per", fixed=True),
     ]
     return make_table(columns, rows=map(_describe, listed))

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from socast.core import models
 from socast.core.errors import SettingsError, suggest_names
+from socast.core.fit.determination import LEVEL_PREFIX
 from socast.core.fit.model_summary import summarise_model
 from socast.core.fit.pooled import adapt
 from socast.core.fit.recipes import FIRST_RECIPE, RECIPES, LinearRecipe, Recipe, get_recipe
@@ -226,19 +227,35 @@ def _show_determined(fits: Mapping[str, VehicleModelFit], console: Console) -> N
         rest = [each for each in fit.determined if not each.determined]
         ways: dict[str, list[str]] = {}
         for each in rest:
-            ways.setdefault(_advise(each), []).append(f"{each.name} {100 * each.sd_over_prior:.0f} %")
+            ways.setdefault(_advise(each), []).append(f"{each.name} ({100 * each.sd_over_prior:.0f} % left)")
         if rest:
-            told = f"{len(fit.determined) - len(rest)} of {len(fit.determined)} numbers"
-            head = f"{'any other (*)' if key == ANY else key}: the rides determine {told}. What is left of the prior's"
-            console.print(
-                f"{head} spread in the others, and what would take it to half:", highlight=False, soft_wrap=True
+            told = f"{len(fit.determined) - len(rest)} of {_count_numbers(fit.determined)}"
+            who = "any other (*)" if key == ANY else key
+            print_plain(
+                console,
+                f"{who}: the rides determine {told}. The others rest mostly on what was assumed before any ride. How "
+                "much of the uncertainty of that assumption is left, and what would bring it to half:",
+                wraps=True,
             )
-        for way, names in ways.items():
-            print_plain(console, f"  {', '.join(names)}: {way}")
+        print_plain(console, *(f"  {', '.join(names)}: {way}" for way, names in ways.items()), wraps=True)
+
+
+def _count_numbers(determined: Sequence[Determination]) -> str:
+    """Return the number of coefficients, and of levels of the accessory curve, in words."""
+    levels = sum(each.name.startswith(LEVEL_PREFIX) for each in determined)
+    coefficients = format_count(len(determined) - levels, "coefficient")
+    if not levels:
+        return coefficients
+    return f"{len(determined)} numbers, {coefficients} and {levels} powers of accessories"
 
 
 def _advise(one: Determination) -> str:
     """Return what would determine a coefficient."""
+    if one.missing:
+        return (
+            f"the rides have no {one.missing}; give recordings with elevation_m, or with positions and a map of "
+            "--elevation (see `socast elevation`)"
+        )
     ways = [f"{format_count(one.drives, 'drive')} of 30 min {one.drive}"] if one.drives else []
     ways += [f"{format_count(one.days, 'more day')} like these"] if one.days else []
     return " or ".join(ways) or "more such days and usual drives would not"

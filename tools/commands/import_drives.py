@@ -123,9 +123,10 @@ def import_drives(
     period: Annotated[
         float | None,
         typer.Option(
+            metavar="S",
             min=0.1,
             max=60.0,
-            help=f"Seconds between two samples, approximately. Default: {PERIOD_S:g} for public data sets, as the rows "
+            help=f"Time between two samples, approximately. Default: {PERIOD_S:g} for public data sets, as the rows "
             "come or [rows] of MAP.toml says for csv and parquet.",
         ),
     ] = None,

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.batch import Floats, Ints
+from socast.core.condition.campaign import SIZES
 from socast.core.condition.campaign_records import INTERVAL, BeforeAfter, CarChange, CarSeries, LevelPath
 from socast.core.formatting import format_count as count_things
 from socast.core.formatting import format_minus, word_date
@@ -66,8 +67,11 @@ def build_report(result: BeforeAfter) -> Report:
 
 
 def describe_campaign(result: BeforeAfter) -> list[str]:
-    """Return the answer, how long a change takes to be seen, and what limits the answer."""
-    return [_describe_change(result), *_describe_measure(result), _describe_detection(result), *result.notes]
+    """Return the answer, how long a change takes to be seen where that helps, and what limits the answer."""
+    is_found = result.change is not None and result.change.is_shown
+    is_planned = any(each.size not in SIZES for each in result.detection)
+    detection = [] if is_found and not is_planned else [_describe_detection(result)]
+    return [_describe_change(result), *_describe_measure(result), *detection, *result.notes]
 
 
 def _describe_change(result: BeforeAfter) -> str:
@@ -111,15 +115,16 @@ def _describe_placebos(result: BeforeAfter) -> str:
 
 
 def _describe_detection(result: BeforeAfter) -> str:
-    """Return how long changes take to be seen, in one line."""
-    parts = [
-        f"{100.0 * each.size:g} % "
-        + ("more than a year" if each.days is None else f"about {count_things(each.days, 'day')}")
-        for each in result.detection
-    ]
-    first = parts[0].replace("% ", "% takes ", 1)
-    when = "of days on" if result.at is None else "after the date"
-    return f"To see {', '.join([first, *parts[1:]])} {when} (80 % power at 90 %)."
+    """Return how long changes take to be seen, in one line, and what lets smaller ones be seen."""
+    when, before = ("of days on", "days off") if result.at is None else ("after the date", "days before it")
+    seen = {each.size: count_things(each.days, "day") for each in result.detection if each.days is not None}
+    unseen = [each.size for each in result.detection if each.days is None]
+    remedy = f"takes more than a year, unless there are more {before} or more cars"
+    if not seen:
+        return f"To see even {100.0 * unseen[-1]:g} % {remedy}."
+    first, *others = (f"{100.0 * size:g} % takes about {days}" for size, days in seen.items())
+    rest = f"; {100.0 * unseen[-1]:g} % or less {remedy}" if unseen else ""
+    return f"To see {', '.join([f'{first} {when}', *others])} (in 4 of 5 cases){rest}."
 
 
 def format_change_interval(interval: tuple[float, float]) -> str:

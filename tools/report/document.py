@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from socast.tools.report.table import PAPER_NOTE, Cell, ReportTable
+from socast.tools.report.table import Cell, ReportTable
 from socast.tools.terminal.rich_table import Column, make_table
 
 
@@ -106,31 +106,44 @@ class Report(NamedTuple):
         return draw(self.result) if draw else ()
 
 
+def place_notes(sections: Sequence[Section], *, last: bool = False) -> list[Section]:
+    """Return sections in which a note that several tables share stands once: below the first of them, or the last.
+
+    A note below a folded table also stands below the first that is not folded.
+    """
+    order, seen, placed = -1 if last else 1, set[str](), list[Section]()
+    for section in sections[::order]:
+        known = set(seen)
+        tables = []
+        for table in [table for table in section.tables if table.rows][::order]:
+            tables.append(table._replace(notes=tuple(note for note in table.notes if note not in known)))
+            known.update(table.notes)
+        if not (section.folded or section.closed):
+            seen = known
+        placed.append(section._replace(tables=tables[::order]))
+    return placed[::order]
+
+
 def print_report(report: Report, console: Console, last: str = "") -> None:
     """Print the sections of a report that have a table, the one with the key `last` after all others, and its notes."""
     shown = [section for section in report.sections if section.tables and not section.folded]
-    for section in sorted(shown, key=lambda section: section.key == last):
+    for section in place_notes(sorted(shown, key=lambda section: section.key == last), last=True):
         print_section(section, console)
     for note in report.notes:
         console.print(Text(note, style="yellow"))
 
 
 def print_section(section: Section, console: Console) -> None:
-    """Print the title and the tables of a section that have rows.
-
-    A note that several tables share is printed once, below the last of them.
-    """
+    """Print the title and the tables of a section that have rows, with a note that several tables share once."""
     print_heading(section.title, console)
     if section.text:
         console.print(Text(section.text, style="italic"))
-    filled = [table for table in section.tables if table.rows]
-    last: dict[str, int] = {note: i for i, table in enumerate(filled) for note in table.all_notes}
-    for i, table in enumerate(filled):
+    (placed,) = place_notes([section], last=True)
+    for table in placed.tables:
         console.print()
         console.print(_table(table))
         for note in table.all_notes:
-            if last[note] == i or note == PAPER_NOTE:
-                console.print(Text(note, style="dim"))
+            console.print(Text(note, style="dim"))
 
 
 def print_heading(title: str, console: Console) -> None:

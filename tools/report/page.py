@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from plotly.offline import get_plotlyjs
 
-from socast.tools.report.document import Drawing, Illustration, Report, Section
+from socast.tools.report.document import Drawing, Illustration, Report, Section, place_notes
 from socast.tools.report.table import Cell, ReportTable, Row
 from socast.tools.terminal.output import REPORT_VERSIONS, write_file
 
@@ -39,7 +39,7 @@ def write_report(report: Report, path: Path) -> None:
 def render_report(report: Report) -> str:
     """Return the page of a report."""
     links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in report.sections)
-    body = "".join(_section(section, report.draw(section.key)) for section in report.sections)
+    body = "".join(_section(section, report.draw(section.key)) for section in place_notes(report.sections))
     notes = "".join(f"<li>{escape_text(note)}</li>" for note in report.notes)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -110,8 +110,7 @@ def _section(section: Section, shown: Sequence[Illustration | Drawing]) -> str:
         for small, group in groupby(shown, key=lambda one: one.small)
     )
     text = f"<p>{escape_text(section.text)}</p>" if section.text else ""
-    filled = [table for table in section.tables if table.rows]
-    tables = "".join(_table(table, captioned=table.title != section.title) for table in filled)
+    tables = "".join(_table(table, captioned=table.title != section.title) for table in section.tables)
     if section.folded:
         tables = f"<details><summary>As tables</summary>{tables}</details>"
     head, body = f"<h2>{escape_text(section.title)}</h2>", f"{text}{drawn}{tables}"

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from socast.core.evaluate.ride_filter import name_rides
 from socast.core.forecast.status import VehicleStatus
-from socast.core.formatting import format_count, format_minus
+from socast.core.formatting import format_count, format_half_width, format_minus
 from socast.core.monitoring.shadow import ShadowModels
 from socast.core.pipeline import Pipeline
 from socast.core.vehicles.catalogue import OVERRIDES
@@ -353,12 +353,13 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], z
             _format_number(ride["distance_km"], 2),
             *((_format_number(ride["ambient_c"], 0),) if wide else ()),
             _format_number(ride["predicted_kwh"], 3),
-            f"{_format_number(ride['energy_kwh'], 3)} ± {_format_number(ride['energy_sd_kwh'], 2)}",
+            f"{_format_number(ride['energy_kwh'], 3)}{format_half_width(ride['energy_sd_kwh'], 2)}",
             _format_number(ride["error_pct"], 0, sign=True),
             Text((ride["unfit_reason"] or "").replace("_", " ")),
         )
         rows.append(row)
-    caption = f"the last {MOST_RIDES} of {len(rides):,} rides" if len(rides) > MOST_RIDES else ""
+    caption = "±: half of the 95 % interval"
+    caption += f"; the last {MOST_RIDES} of {len(rides):,} rides" if len(rides) > MOST_RIDES else ""
     if rows:
         console.print(make_table(columns, "Rides, predicted against measured", caption, rows=rows))
     print_plain(console, *summary(rides, quality), wraps=True)

@@ -155,9 +155,9 @@ def make_console(json_file: Path | None = None) -> Console:
 
 
 def print_plain(console: Console, *lines: str, style: str = "", wraps: bool = False) -> None:
-    """Print lines as they are, without markup; a line is broken only if it `wraps` and the output is a terminal."""
+    """Print lines as they are, without markup; a line is broken only if it `wraps`."""
     for line in lines:
-        console.print(line, style=style, markup=False, highlight=False, soft_wrap=not (wraps and console.is_terminal))
+        console.print(line, style=style, markup=False, highlight=False, soft_wrap=not wraps)
 
 
 def refuse(*mistakes: tuple[object, str]) -> None:

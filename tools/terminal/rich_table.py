@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Collection, Iterable, Sequence
+from copy import copy
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from rich import box
@@ -83,7 +85,7 @@ LEAST_WIDTH: Final = 6
 
 
 class Breaking(NamedTuple):
-    """State what may be broken where a table is too wide for the terminal.
+    """State what may be broken where a part of a table is too wide for the terminal.
 
     Parameters
     ----------
@@ -102,6 +104,8 @@ BREAKINGS: Final = tuple(
     for tied in (WHOLE, LOOSE)
 )
 """From what harms a reader least to what harms most."""
+WORDS_WHOLE: Final = BREAKINGS[:2]
+"""Those that break no word."""
 
 
 class Column(NamedTuple):
@@ -129,7 +133,12 @@ class Column(NamedTuple):
 
 
 class _NumberTable(Table):
-    """A table that is fitted to the terminal so that its numbers stay whole, where that is possible."""
+    """A table that is fitted to the terminal so that its words and numbers stay whole, where that is possible.
+
+    A table that is too wide for it becomes several below each other, each of which begins with the same columns.
+    """
+
+    repeated: int
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         """Add a row, as `rich.table.Table.add_row` does."""
@@ -137,14 +146,35 @@ class _NumberTable(Table):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the table, fitted to the width of the console."""
-        if not self.expand:
-            self._fit(console, options)
-        yield from super().__rich_console__(console, options)
+        if self.expand:
+            yield from super().__rich_console__(console, options)
+            return
+        for part in self._split(options.max_width):
+            part.fit(console, options)
+            yield from super(_NumberTable, part).__rich_console__(console, options)
 
-    def _fit(self, console: Console, options: ConsoleOptions) -> None:
+    def _split(self, width: int) -> list["_NumberTable"]:
+        """Return the parts of the table, one where all columns fit; their numbers stay whole."""
+        for breaking in WORDS_WHOLE:
+            if measure_table([self._measure_least(column, breaking) for column in self.columns]) <= width:
+                return [self]
+        least = [self._measure_least(column, WORDS_WHOLE[0]) for column in self.columns]
+        parts = [self._take(places) for places in split_columns(least, width, self.repeated)]
+        for part in parts[1:]:
+            part.title = None
+        for part in parts[:-1]:
+            part.caption = None
+        return parts
+
+    def _take(self, places: Sequence[int]) -> "_NumberTable":
+        """Return a table of some of the columns."""
+        part = copy(self)
+        part.columns = [replace(self.columns[place], _index=i) for i, place in enumerate(places)]
+        return part
+
+    def fit(self, console: Console, options: ConsoleOptions) -> None:
         """Set the widths of columns if the table is too wide."""
-        edges = 2 + len(self.columns) - 1  # of the box
-        room = options.max_width - edges - self.padding[1] * len(self.columns)
+        room = options.max_width - measure_table([0] * len(self.columns))
         most = [self._measure(console, options, number) for number in range(len(self.columns))]
         for column in self.columns:
             column.width = None
@@ -179,6 +209,8 @@ class _NumberTable(Table):
 
     def _measure_least(self, column: TableColumn, breaking: Breaking) -> int:
         """Return the least width of a column."""
+        if column.no_wrap:
+            return max(cell_len(line) for cell in (column.header, *column.cells) for line in str(cell).split("\n"))
         heading = measure_parts(str(column.header), breaking.tied)
         cells = max((measure_parts(str(cell), breaking.tied) for cell in column.cells), default=0)
         if breaking.headings:
@@ -186,6 +218,41 @@ class _NumberTable(Table):
         if breaking.texts and column.justify != "right":
             cells = min(cells, LEAST_WIDTH)
         return max(cells, heading)
+
+
+def measure_table(widths: Sequence[int]) -> int:
+    """Return the width of a table whose columns have some widths: with its edges, and a space beside each column."""
+    return 1 + sum(width + 2 for width in widths)
+
+
+def split_columns(least: Sequence[int], width: int, repeated: int = 1) -> list[list[int]]:
+    """Return the places of the columns of each part of a table that is too wide, with the first, repeated ones in each.
+
+    There are as few parts as possible, and they are about equally wide. A part with a single further column may be too
+    wide, and so may be all parts where the repeated columns alone take more than half of the width.
+
+    Units: width [characters].
+
+    Examples
+    --------
+    >>> split_columns([8, 10, 10, 10, 10], width=47)
+    [[0, 1, 2], [0, 3, 4]]
+    >>> split_columns([90, 10, 10], width=47)
+    [[0, 1], [0, 2]]
+    """
+    first = list(range(repeated))
+    most = width // (2 * repeated)
+    least = [*(min(each, most) for each in least[:repeated]), *least[repeated:]]
+
+    def fill(room: int) -> list[list[int]]:
+        parts = [list(first)]
+        for place in range(repeated, len(least)):
+            if parts[-1] != first and measure_table([least[i] for i in (*parts[-1], place)]) > room:
+                parts.append(list(first))
+            parts[-1].append(place)
+        return parts
+
+    return next(parts for room in range(width + 1) if len(parts := fill(room)) == len(fill(width)))
 
 
 def distribute_width(
@@ -229,9 +296,16 @@ def make_table(
     caption: str = "",
     *,
     rows: Iterable[Sequence[RenderableType]] = (),
+    repeated: int = 1,
     expand: bool = False,
 ) -> Table:
-    """Return a table in the common style, with horizontal rules only, which leaves more width for numbers."""
+    """Return a table in the common style, with horizontal rules only, which leaves more width for numbers.
+
+    Parameters
+    ----------
+    repeated : int
+        Number of columns with which each part begins if the table is too wide for the terminal.
+    """
     table = _NumberTable(
         title=Text(title, style="bold") if title else None,
         caption=Text(caption) if caption else None,
@@ -242,6 +316,7 @@ def make_table(
         padding=(0, 1, 0, 0),
         expand=expand,
     )
+    table.repeated = repeated
     for column in columns:
         table.add_column(
             Text(column.head),

@@ -143,9 +143,11 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo |
         *(Column(head, number=True, fixed=True) for head in numbers),
         *(Column(head, fixed=True) for head in ("held", "")),
     ]
-    caption = f"the last {MOST_SHIFTS} of {len(shifts):,} shifts" if len(shifts) > MOST_SHIFTS else ""
+    caption = "in brackets: 90 % interval"
+    caption += f"; the last {MOST_SHIFTS} of {len(shifts):,} shifts" if len(shifts) > MOST_SHIFTS else ""
     rows = [_cells(shift, zone) for shift in shifts[-MOST_SHIFTS:]]
-    console.print(make_table(columns, "Charge at the shift's end, forecast against outcome, %", caption, rows=rows))
+    title = "Charge at the shift's end, forecast against outcome, %"
+    console.print(make_table(columns, title, caption, rows=rows, repeated=2))
     print_plain(console, *summary(shifts), wraps=True)
 
 

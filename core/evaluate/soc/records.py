@@ -7,6 +7,7 @@ from msgspec import field
 
 from socast.core.evaluate.records import EstimatedValue, make_estimate_frame
 from socast.core.records import Record, declare, to_json_values
+from socast.core.stats.clustered import FEWEST_CLUSTERS, LEAST_CLUSTERS, count_independent_cases
 
 Numbers = list[float | None]
 """One value for each forecast; None where it is unknown."""
@@ -19,6 +20,14 @@ class ClusteredShare(Record, frozen=True):
     low: float | None
     high: float | None
     clusters: Annotated[int, declare("Number of vehicle-days.")]
+
+    @property
+    def is_firm(self) -> bool:
+        """Whether there are enough vehicle-days, or independent cases of them, to show the share as a figure."""
+        if self.clusters < FEWEST_CLUSTERS or self.value is None or self.low is None or self.high is None:
+            return False
+        enough = count_independent_cases(self.value, self.low, self.high) >= LEAST_CLUSTERS
+        return enough or self.clusters >= LEAST_CLUSTERS
 
 
 class RegressionIntervals(Record, frozen=True):

@@ -14,17 +14,23 @@ def determine(windows, recipe="road_load_constant", **errors):
     return {each.name: each for each in found["*"]}
 
 
-def level(windows):
-    """Return windows without any climb."""
-    return windows.assign(**{name: 0.0 for name in windows if name.startswith(("effect_climbing", "gained", "lost"))})
+def level(windows, share):
+    """Return windows with a share of their climbs."""
+    climbs = [name for name in windows if name.startswith(("effect_climbing", "gained", "lost"))]
+    return windows.assign(**{name: share * windows[name] for name in climbs})
 
 
-def test_climbing_on_level_roads_rests_on_its_prior_and_needs_hills():
-    climbing = determine(level(make_windows(1, 6, 3, 8)))["climbing"]
+@pytest.mark.parametrize(
+    ("share", "drive", "drives", "missing"), [(1e-4, "over hills of 5 %", 1, ""), (0.0, "", None, "elevation")]
+)
+def test_climbing_on_level_roads_rests_on_its_prior_and_needs_hills_or_an_elevation(share, drive, drives, missing):
+    found = determine(level(make_windows(1, 6, 3, 8), share))
+    climbing = found["climbing"]
     assert climbing.sd_over_prior == pytest.approx(1.0, abs=1e-6)
     assert not climbing.determined
     assert climbing.days is None
-    assert (climbing.drive, climbing.drives) == ("over hills of 5 %", 1)
+    assert (climbing.drive, climbing.drives, climbing.missing) == (drive, drives, missing)
+    assert not missing or not any("hills" in each.drive for each in found.values())
 
 
 def test_more_days_determine_more():

@@ -87,7 +87,9 @@ def fieller_interval(rng):
 
 def wilson_interval(rng):
     hits, n = int(rng.integers(0, 21)), 20
-    return clustered.compute_wilson_interval(hits / n, n), stats.binomtest(hits, n).proportion_ci(method="wilson")
+    ends = stats.binomtest(hits, n).proportion_ci(method="wilson")
+    found = *clustered.compute_wilson_interval(hits / n, n), clustered.count_independent_cases(hits / n, *ends)
+    return found, (*ends, n)
 
 
 def share_of_independent_cases(rng):
@@ -253,7 +255,7 @@ CASES = {
     clustered_mean_of_regression: ["compute_clustered_mean"],
     clustered_ratio: ["compute_clustered_ratio"],
     fieller_interval: ["compute_fieller_interval"],
-    wilson_interval: ["compute_wilson_interval"],
+    wilson_interval: ["compute_wilson_interval", "count_independent_cases"],
     share_of_independent_cases: ["compute_clustered_share"],
     difference_of_means: ["subtract"],
     mean_of_strata: ["combine_strata"],

@@ -82,7 +82,7 @@ def test_figures_are_those_of_outlook():
         "end of shift": "31 % (24 to 38) at 14:00 UTC, 11 points above the reserve",
         "energy": "3.10 kWh (2.70 to 3.60)",
         "then planned": "2 legs, 30 km, 4.0 kWh",
-        "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 2024-01-15 12:00 UTC",
+        "now": "72.0 ± 0.8 % of 38.2 ± 1.2 kWh, by a sample of 2024-01-15 12:00 UTC",
         "this car today": "takes 4 % more than is usual for its vehicle model at this temperature",
     }
 

@@ -14,6 +14,7 @@ from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.recorders import LegRecorder
 from socast.core.evaluate.soc.records import ClusteredShare, ForecastBin
 from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.evaluate.soc.reserve_risk import hold_share
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.stream.mcap_reader import McapSource
@@ -26,6 +27,7 @@ from socast.tools.report.page import write_report
 from socast.tools.report.soc import page as report
 from socast.tools.report.soc.tables import (
     compare_with_best,
+    describe_result,
     format_share,
     tabulate_alarms,
     tabulate_by_time,
@@ -201,10 +203,7 @@ def test_risk_figure_shows_forecast_and_observed_risk():
     for points, key in ((levels, "levels"), (plan, "plan")):
         classes = result.reserve.reliability[key]
         assert list(points.x) == pytest.approx([100.0 * risk_class.told for risk_class in classes])
-        shown = [
-            100.0 * risk_class.fell.value if risk_class.fell.clusters >= LEAST_CLUSTERS else None
-            for risk_class in classes
-        ]
+        shown = [100.0 * risk_class.fell.value if risk_class.fell.is_firm else None for risk_class in classes]
         assert list(points.y) == shown
         assert (None in shown) == (key in few)
     assert any(y is not None for y in levels.y)
@@ -302,10 +301,31 @@ def test_legs_are_shown_only_if_any_were_queried(result):
 def test_share_of_few_vehicle_days_is_not_shown(result):
     out = printed(result)
     for part in result.by["temperature"]:
-        few = part.pooled.vehicle_days < 30
+        few, shown = part.pooled.vehicle_days < 30, format_share(part.pooled.coverage)
         (line,) = (line for line in out.splitlines() if line.startswith(f" {part.bin.replace('-', '−')} "))
-        assert ("too few" in line) == few
+        assert shown in line
+        assert shown.startswith("–") == few
     assert any(part.pooled.vehicle_days < 30 for part in result.by["temperature"])
+
+
+@pytest.mark.parametrize(
+    ("hits", "n", "vehicle_days", "is_shown"), [(740, 800, 20, True), (740, 800, 9, False), (18, 20, 20, False)]
+)
+def test_share_of_many_independent_cases_is_shown_with_few_vehicle_days(hits, n, vehicle_days, is_shown):
+    holds = np.random.default_rng(3).permutation(np.arange(n) < hits)
+    share = hold_share(holds, np.arange(n) % vehicle_days)
+    assert format_share(share).startswith("92.5 % (" if is_shown else "– (")
+
+
+def test_result_in_words_says_how_far_off_and_whether_the_interval_holds(result):
+    off, held = describe_result(result)
+    group = result.overall.hours["2"]
+    assert off.startswith("2 h before the end of a shift, forecasts of the charge at its end were off by ")
+    assert f" {group.mae_pct.value:.2f} ± " in off
+    assert f"{100 * group.coverage.low:.1f} to {100 * group.coverage.high:.1f}" in held
+    shown = " ".join(printed(result).split())
+    assert f"{off} {held}" in shown
+    assert shown.count("n: number of forecasts.") == 1
 
 
 def test_fan_of_example_ends_at_end_of_shift(result):

@@ -69,10 +69,11 @@ def test_fit_to_windows_says_which_numbers_the_rides_determine(tmp_path, capsys)
     printed = " ".join(capsys.readouterr().out.split())
     told = json.loads((tmp_path / "report.json").read_text())["fits"]["kia-soul-ev-2015"]["determined"]
     rest = [each for each in told if not each["determined"]]
-    assert f"kia-soul-ev-2015: the rides determine {len(told) - len(rest)} of {len(told)} numbers" in printed
+    counted = f"{len(told) - len(rest)} of {len(told)} numbers, 6 coefficients and 3 powers of accessories"
+    assert f"kia-soul-ev-2015: the rides determine {counted}" in printed
     assert "any other (*): the rides determine" not in printed
     for each in rest:
-        assert f"{each['name']} {100 * each['sd_over_prior']:.0f} %" in printed
+        assert f"{each['name']} ({100 * each['sd_over_prior']:.0f} % left)" in printed
         assert each["drives"] is None or f"of 30 min {each['drive']}" in printed
 
 

@@ -73,6 +73,46 @@ def test_heading_is_broken_before_text():
     assert not any("predicted" in line for line in lines)
 
 
+WIDE_HEADS = ("rides", "total", "speeding up", "climate and accessories while driving", "losses in braking", "climbing")
+
+
+def wide_table(repeated=1):
+    columns = [Column(head, number=bool(i)) for i, head in enumerate(("car", *WIDE_HEADS, "2018-11", "unexplained"))]
+    made = make_table(columns, "Consumption", "All parts", repeated=repeated)
+    made.add_row("taxi-001", *("10.33" for _ in WIDE_HEADS), "7.14 ± 0.15", "−0.09", end_section=True)
+    made.add_row("all", *("1,697" for _ in WIDE_HEADS), "7.14 ± 0.15", "−0.09")
+    return made
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 140])
+def test_table_that_is_too_wide_becomes_parts_of_whole_words_with_the_names_of_the_rows(width):
+    lines = printed(wide_table(), width)
+    assert max(map(len, lines)) <= width
+    text = " ".join(lines)
+    named = [line for line in lines if line.startswith(" taxi-001 ")]
+    assert len(named) == sum(line.startswith(" all ") for line in lines)
+    assert (len(named) > 1) == (width < 100)
+    assert text.count("10.33") == len(WIDE_HEADS)
+    assert text.count("7.14 ± 0.15") == 2
+    assert set(" ".join(WIDE_HEADS).split()) | {"2018-11", "unexplained"} <= set(text.split())
+    assert (text.count("Consumption"), text.count("All parts")) == (1, 1)
+
+
+def test_every_part_repeats_as_many_columns_as_are_named():
+    lines = printed(wide_table(repeated=2), 70)
+    assert [line.split()[1] for line in lines if line.startswith(" taxi-001 ")] == ["10.33"] * 2
+    assert sum("rides" in line for line in lines) == 2
+
+
+def test_cells_that_stay_on_a_line_are_split_off_and_not_cut():
+    made = make_table([Column(head, fixed=True) for head in ("car", "shift, UTC", "at first", "2 h before", "outcome")])
+    cells = ("taxi-001", "01-16 12:00–14:55", "71 (58 to 83)", "54 (45 to 64)", "2 of 3")
+    made.add_row(*cells)
+    text = " ".join(printed(made, 50))
+    assert all(cell in text for cell in cells)
+    assert "…" not in text
+
+
 def test_table_that_cannot_fit_is_still_printed_within_the_terminal():
     assert max(map(len, printed(table(), 40))) <= 40
 

@@ -11,7 +11,7 @@ from socast.core.formatting import format_count
 from socast.tools.report.comparison import figures, tables
 from socast.tools.report.comparison.failures import describe_failures, illustrate_failures, list_pictures
 from socast.tools.report.comparison.trace import illustrate_traces
-from socast.tools.report.document import Illustration, Report, Section, print_section
+from socast.tools.report.document import Illustration, Report, Section, place_notes, print_section
 from socast.tools.report.evaluation.tables import MEASURED_BY
 from socast.tools.report.table import format_estimate, format_percent
 
@@ -38,7 +38,7 @@ def show(result: Comparison, console: Console) -> None:
     for line in list_pictures(result, console.width):
         console.print(line, highlight=False)
     shown = [section for section in build_sections(result, commands=False) if section.key in ORDER]
-    for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
+    for section in place_notes(sorted(shown, key=lambda section: ORDER.index(section.key)), last=True):
         print_section(section, console)
         if section.key == "worst":
             _print_commands(result, console)

@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from rich.console import Console
 
 from socast.core.evaluate.compare.records import Comparison, Divergence, RideTrace, TracedModel
+from socast.core.formatting import format_half_width
 from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.ride_figures import (
     MEASURED,
@@ -73,7 +74,8 @@ def build_report(trace: RideTrace) -> Report:
 def describe_ride(trace: RideTrace) -> str:
     """Return the description of the ride."""
     ride = trace.ride
-    spread = "" if ride.energy_sd_kwh is None else f" ± {ride.energy_sd_kwh:.3f} (standard uncertainty)"
+    half = format_half_width(ride.energy_sd_kwh, 3)
+    spread = f"{half} (95 % interval)" if half else ""
     conditions = (
         f"{format_estimate(ride.distance_km)} km in {format_estimate((ride.duration_s or 0.0) / 60.0)} min "
         f"at {format_estimate(ride.ambient_c)} °C, {format_energy(ride.energy_kwh)} kWh{spread}"

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 from rich.console import Console
+from rich.text import Text
 
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
@@ -36,13 +37,17 @@ AHEAD: Final = "ahead"
 
 def show(result: SocEvaluation, console: Console) -> None:
     """Print an evaluation, with its main result last."""
-    print_report(build_report(result), console, last=AHEAD)
+    report = build_report(result)
+    print_report(report, console, last=AHEAD)
+    for sentence in report.lead:
+        console.print(Text(sentence, style="bold"), highlight=False)
 
 
 def build_report(result: SocEvaluation) -> Report:
     """Return the report of an evaluation."""
     sections = build_sections(result)
-    return Report("evaluate-soc", "evaluate-soc", TITLE, sections, (), result.notes, result, FIGURES)
+    lead = tables.describe_result(result)
+    return Report("evaluate-soc", "evaluate-soc", TITLE, sections, lead, result.notes, result, FIGURES)
 
 
 def build_sections(result: SocEvaluation) -> list[Section]:
@@ -85,7 +90,7 @@ MOST_POINTS: Final = 2000
 BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
 WIDE: Final = "Intervals far wider than the figure (few shifts) are left out."
-FEW: Final = f"A line without a point: the interval of a share of fewer than {LEAST_CLUSTERS} vehicle-days."
+FEW: Final = f"A line without a point: the interval of a share of fewer than {LEAST_CLUSTERS} independent cases."
 WIDEST: Final = 1.5
 """Widest interval that is drawn, relative to the largest value of a figure."""
 SHADE: Final = "rgba(128,128,128,0.25)"
@@ -176,14 +181,14 @@ def draw_coverage(shares: Mapping[str, ClusteredShare], axis: str) -> go.Figure:
 
 def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[ClusteredShare]) -> list[Any]:
     """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
-    enough = [share.clusters >= LEAST_CLUSTERS for share in shares]
+    enough = [share.is_firm for share in shares]
     values = [to_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
     low = [_reach(share.value, share.low) for share in shares]
     high = [_reach(share.value, share.high) for share in shares]
     points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=make_error_bars(high, low))
     alone = [(place, share) for place, share, known in zip(x, shares, enough, strict=True) if not known]
     lines = go.Scatter(
-        name=f"{name}: interval of too few vehicle-days",
+        name=f"{name}: interval of too few cases",
         x=[place for one, _ in alone for place in (one, one, None)],
         y=[end for _, share in alone for end in (to_percent(share.low), to_percent(share.high), None)],
         mode="lines",

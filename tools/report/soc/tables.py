@@ -17,6 +17,7 @@ from socast.core.evaluate.soc.records import (
     RiskFigures,
     SocEvaluation,
 )
+from socast.core.evaluate.soc.regression import NOMINAL
 from socast.core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
@@ -44,16 +45,16 @@ SHOWN_AT: Final = "2"
 """Time ahead at which conditions are compared with the baselines. [h]"""
 PERCENT_NOTE: Final = (
     "n: number of forecasts. MAE, bias (forecast less outcome) and width are in % of charge. ± is half "
-    "of the 95 % interval, clustered by vehicle-day (one car on one day)."
+    "of the 95 % interval, clustered by vehicle-day."
 )
 UNITS: Final[Mapping[str, str]] = MappingProxyType({"temperature": ", °C", "new weather": ", K outside"})
 """Unit of each condition that has one."""
-TOO_FEW: Final = "too few"
 SHARE_NOTE: Final = (
-    f"In parentheses: 95 % interval (Wilson, clustered). Too few: of fewer than {LEAST_CLUSTERS} "
-    "vehicle-days, only the interval is shown."
+    "In parentheses: 95 % interval (Wilson, clustered). A dash before it: too few cases for a figure, fewer than "
+    f"{LEAST_CLUSTERS} independent ones. Cases of one vehicle-day (one car on one day) resemble each other, and count "
+    "for less."
 )
-COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
+COVERAGE_NOTE: Final = "Coverage: share of outcomes inside the 90 % interval."
 SCORE_NOTE: Final = (
     "Interval score: width of the 90 % interval, and 20 times what an outcome misses it by; small is good. The "
     "regression has an interval once twenty shifts have ended."
@@ -67,8 +68,7 @@ LEG_NOTE: Final = (
 )
 BEST_NOTE: Final = (
     "To best: error relative to that of the best baseline other than the regression, on forecasts for which these "
-    "have a value. A "
-    f"dash: fewer than {LEAST_CLUSTERS} vehicle-days, or 0 h ahead, when every baseline equals the "
+    f"have a value; none of fewer than {LEAST_CLUSTERS} vehicle-days, or 0 h ahead, when every baseline equals the "
     "display."
 )
 SHOWN: Final = ("1", "2")
@@ -94,18 +94,18 @@ PERSON_NOTE: Final = (
 
 
 def format_share(share: ClusteredShare) -> str:
-    """Return a share with its interval, and only the interval where vehicle-days are too few.
+    """Return a share with its interval, and a dash with the interval where cases are too few.
 
     Examples
     --------
     >>> format_share(ClusteredShare(value=0.9, low=0.871, high=0.92, clusters=300))
     '90.0 % (87.1 to 92.0)'
     >>> format_share(ClusteredShare(value=0.571, low=0.25, high=0.842, clusters=7))
-    'too few (25.0 to 84.2)'
+    '– (25.0 to 84.2)'
     """
     if not share.clusters:
         return UNKNOWN
-    value = format_percent(share.value) if share.clusters >= LEAST_CLUSTERS else TOO_FEW
+    value = format_percent(share.value) if share.is_firm else UNKNOWN
     if share.low is None or share.high is None:
         return value
     return f"{value} ({100 * share.low:.1f} to {100 * share.high:.1f})"
@@ -160,9 +160,29 @@ def tabulate_by_time(result: SocEvaluation) -> ReportTable:
     best = [compare_with_best(group.best if hours != "0" else None) for hours, group in groups.items()]
     more = [*_list_baseline_errors(groups.values(), HEADS), ("to best", best)]
     meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
-    notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
+    notes = (PERCENT_NOTE, COVERAGE_NOTE, SHARE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
     title = "Forecasts of the state of charge at the shift's end"
     return tabulate_figures(title, "before", groups, notes, more=more, label=format_hours)
+
+
+def describe_result(result: SocEvaluation) -> list[str]:
+    """Return how far forecasts were off beside the best simple rule, and whether their intervals hold the outcomes."""
+    hours = SHOWN_AT if SHOWN_AT in result.overall.hours else list(result.overall.hours)[-1]
+    group = result.overall.hours[hours]
+    when = "At the end of a shift" if hours == "0" else f"{format_hours(hours)} before the end of a shift"
+    off = f"{when}, forecasts of the charge at its end were off by {format_estimate(group.mae_pct, 2)} % on average"
+    best, share = group.best, group.coverage
+    if hours != "0" and best is not None and compare_with_best(best) != UNKNOWN:
+        less = best.share_less or 0.0
+        beside = f"{format_percent(abs(less), 0)} {'less' if less >= 0.0 else 'more'} than the best simple rule"
+        off = f"{off}, {beside} ({BASELINES[best.name]})"
+    if share.low is None or share.high is None:
+        return [f"{off}.", "Too few shifts to tell whether the 90 % intervals hold the outcomes."]
+    ends = f"{100 * share.low:.1f} to {100 * share.high:.1f}"
+    inside = f"{format_percent(share.value)} of the outcomes ({ends})" if share.is_firm else f"{ends} % of the outcomes"
+    fits = share.low <= NOMINAL <= share.high
+    verdict = "which agrees with 90 %" if fits else f"so it is too {'narrow' if share.high < NOMINAL else 'wide'}"
+    return [f"{off}.", f"Their 90 % interval held {inside}, {verdict}."]
 
 
 def format_hours(hours: str) -> str:
@@ -192,7 +212,7 @@ def compare_with_best(best: BestBaseline | None) -> str:
 
 def tabulate_conditions(result: SocEvaluation) -> list[ReportTable]:
     """Return the figures by each condition in which the shifts differ."""
-    notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
+    notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, SHARE_NOTE, BEST_NOTE)
     tables = []
     for name, bins in result.by.items():
         at = [part.hours.get(SHOWN_AT) for part in bins]
@@ -222,7 +242,9 @@ def tabulate_legs(result: SocEvaluation) -> list[ReportTable]:
         if bins := {each.bin: each for each in parts.get(key, ())}:
             corner, first = ("minutes ahead", (LEG_NOTE,)) if key in result.legs else ("time ahead", ())
             more = _list_baseline_errors(bins.values(), LEG_BASELINES)
-            tables.append(tabulate_figures(title, corner, bins, (*first, PERCENT_NOTE, COVERAGE_NOTE), more=more))
+            notes = (*first, PERCENT_NOTE, COVERAGE_NOTE, SHARE_NOTE)
+            fields = ("vehicle_days", *FIGURES)
+            tables.append(tabulate_figures(title, corner, bins, notes, fields=fields, more=more))
     return tables
 
 
@@ -304,8 +326,10 @@ def tabulate_alarms(result: SocEvaluation) -> ReportTable:
 
 
 def _counted(some: int, share: ClusteredShare) -> str:
-    rate = format_share(share)
-    return UNKNOWN if rate == UNKNOWN else f"{format_count(some)}: {rate}"
+    """Return a count with the share that it is; the count alone where the share has no interval."""
+    if not share.clusters:
+        return UNKNOWN
+    return format_count(some) if share.low is None else f"{format_count(some)}: {format_share(share)}"
 
 
 def tabulate_baselines(result: SocEvaluation) -> ReportTable:

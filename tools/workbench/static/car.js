@@ -125,7 +125,7 @@ class CarPage {
     const declared = this.context.session.columns.filter(({ label }) => label).sort((a, b) => b.narrow - a.narrow);
     const tone = values.reserve_risk > HIGH_RISK ? "bad" : values.reserve_risk >= LOW_RISK ? "warn" : "";
     const special = {
-      soc_pct: (label) => figure(label, quantity(values.soc_pct, "%", 1), "", values.soc_sd_pct ? `(± ${number(values.soc_sd_pct, 1)})` : ""),
+      soc_pct: (label) => figure(label, quantity(values.soc_pct, "%", 1), "", values.soc_sd_pct ? `(± ${number(2 * values.soc_sd_pct, 1)})` : ""),
       reserve_risk: (label) => figure(label, risk(values.reserve_risk), tone),
     };
     this.parts.figures.replaceChildren(
