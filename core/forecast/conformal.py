@@ -15,7 +15,6 @@ Tibshirani, Wasserman, Journal of the American Statistical Association 113 (2018
 on the number of independent members of a cluster.
 """
 
-from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -40,8 +39,8 @@ UPPER_LEVEL: Final = 0.95
 """Probability of the upper bound of an interval."""
 SCORES: Final = np.linspace(-8.0, 8.0, 161)
 """Standardised errors at which the outcomes are counted; a larger one counts as the last. [1]"""
-PRIOR_SCALES: Final = 1.25, 1.25, 1.25, 1.25
-"""Scale of the prior distribution of the standardised error of each basis, Student's t. [1]"""
+PRIOR_SCALE: Final = 1.25
+"""Scale of the prior distribution of the standardised error, Student's t. [1]"""
 PRIOR_FREEDOM: Final = 8.0
 """Its degrees of freedom."""
 PRIOR_SHIFTS: Final = 15.0
@@ -56,8 +55,8 @@ DAY_MEMORY: Final = 0.98
 """Weight of a day's shifts one day later."""
 
 _EDGES: Final = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
-_PRIOR: Final = np.array([np.diff(stdtr(PRIOR_FREEDOM, _EDGES / scale)) for scale in PRIOR_SCALES])
-"""Share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
+_PRIOR: Final = np.diff(stdtr(PRIOR_FREEDOM, _EDGES / PRIOR_SCALE))
+"""Share of the prior at each of `SCORES`, (scores,)."""
 
 
 class ErrorBounds(NamedTuple):
@@ -84,7 +83,7 @@ class ConformalIntervals:
         self.shape = BASES, len(DISTANCE_CLASSES)
         self._counts = np.zeros((*self.shape, len(SCORES)))
         self.today = DaySums(shifts=(BASES,), scores=(*self.shape, len(SCORES)))
-        self.table = np.stack([_compute_first_quantiles(basis) for basis in range(BASES)])
+        self.table = np.tile(_FIRST, (*self.shape, 1))
 
     def add_shift(self, basis: int, ahead_km: Floats, scores: Floats) -> None:
         """Count the standardised errors of one shift's forecasts, for the next daily update."""
@@ -99,7 +98,7 @@ class ConformalIntervals:
         for basis in np.flatnonzero(shifts).tolist():
             weight = weigh_day(int(shifts[basis]))
             self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * scores[basis]
-            self.table[basis] = _compute_class_quantiles(basis, self._counts[basis])
+            self.table[basis] = _compute_class_quantiles(self._counts[basis])
         self.today.clear()
 
     def get_quantiles(self, basis: Ints, ahead_km: Floats, unknown: Floats | None = None) -> tuple[Floats, ErrorBounds]:
@@ -110,8 +109,8 @@ class ConformalIntervals:
         """
         table = self.table[basis, classify(ahead_km)]
         if unknown is not None and len(rows := np.flatnonzero(unknown > LEAST_UNKNOWN)):
-            known, prior = table[rows], _FIRST[np.broadcast_to(basis, len(table))[rows]]
-            mixed = known + unknown[rows, np.newaxis] * (prior - known)
+            known = table[rows]
+            mixed = known + unknown[rows, np.newaxis] * (_FIRST - known)
             table[rows] = np.where(_IS_UPPER, np.maximum(known, mixed), np.minimum(known, mixed))
         lower, upper = (table[:, LEVELS.index(level)] for level in (LOWER_LEVEL, UPPER_LEVEL))
         return table, ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
@@ -130,21 +129,15 @@ class ConformalIntervals:
         self.table = np.frombuffer(table).reshape(self.table.shape).copy()
 
 
-def _compute_class_quantiles(basis: int, counts: Floats) -> Floats:
+def _compute_class_quantiles(counts: Floats) -> Floats:
     """Return the quantiles of the classes of a basis, with what each borrows from all of them and from the prior."""
-    around = counts.sum(axis=0) + PRIOR_SHIFTS * _PRIOR[basis]
+    around = counts.sum(axis=0) + PRIOR_SHIFTS * _PRIOR
     borrowed = BORROWED_SHIFTS * around / around.sum()
     return np.stack([compute_counted_quantiles(of_class + borrowed, SCORES, LEVELS) for of_class in counts])
 
 
-@cache
-def _compute_first_quantiles(basis: int) -> Floats:
-    """Return the quantiles of the classes of a basis before the first shift, from the prior alone."""
-    return _compute_class_quantiles(basis, np.zeros((len(DISTANCE_CLASSES), len(SCORES))))
-
-
-_FIRST: Final = np.stack([_compute_first_quantiles(basis)[0] for basis in range(BASES)])
-"""Quantiles of the prior, (bases, levels). [1]"""
+_FIRST: Final = _compute_class_quantiles(np.zeros((1, len(SCORES))))[0]
+"""Quantiles of the prior, (levels,). [1]"""
 _IS_UPPER: Final = np.array(LEVELS) > 0.5
 
 

@@ -128,7 +128,7 @@ class ForecastEngine:
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
         self.statistics.charged_soc.add_charges(self.plans.outcomes)
-        time, patterns = sums.running.at_last("time"), self.statistics.patterns.get(sums.running.lane)
+        time, patterns = sums.running.at_last("time"), self.statistics.patterns[sums.running.lane]
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
         ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)

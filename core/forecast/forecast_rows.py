@@ -140,7 +140,8 @@ def compute_forecast_rows(
         progress, time, get_ride_km(running), riding, find_charging_since(estimates, progress["came"])
     )
     ahead = compute_planned_energy(progress, times, time, riding, now.usual)
-    ahead = fill_from_history(ahead, now.usual, time - estimates["begin"], time, now.patterns)
+    if np.isnan(ahead.energy).any():
+        ahead = fill_from_history(ahead, now.usual, time - estimates["begin"], time, now.patterns)
     soc = forecast_soc_ahead(now, ahead, progress, times)
     reach = compute_range(now.estimate, ahead.reserve, now.usual)
     by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / now.usual.energy_per_km

@@ -290,10 +290,7 @@ def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, p
 def fill_from_history(
     ahead: EnergyAhead, usual: UsualConsumption, elapsed: Floats, now: Floats, patterns: NDArray[np.void]
 ) -> EnergyAhead:
-    """Return the energy ahead, completed by the car's earlier shifts where there is no plan.
-
-    Units: elapsed [s] since the shift began, now [s].
-    """
+    """Return the energy ahead, by earlier shifts where there is no plan; `elapsed` is that of the shift [s]."""
     rest = expect_rest(patterns, elapsed)
     whole = rest.work * usual.mean_power + usual.warm_up_energy
     filled = np.isnan(ahead.energy) & np.isfinite(whole)

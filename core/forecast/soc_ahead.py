@@ -92,7 +92,7 @@ class CarsNow(NamedTuple):
         """Return what is known of cars, where `ambient` is the outside temperature of the time ahead. [K]"""
         weights = compute_temperature_weights(ambient)
         usual = statistics.compute_usual(kinds, weights, time - filtered["begin"])
-        estimate, patterns = CarEstimate.from_filter(filtered, cars.capacity[kinds]), statistics.patterns.get(lanes)
+        estimate, patterns = CarEstimate.from_filter(filtered, cars.capacity[kinds]), statistics.patterns[lanes]
         less_known = np.maximum(usual.level_sd**2 - replace_nan(filtered["level_sd"], 0.0) ** 2, 0.0)
         estimate = estimate._replace(log_factor_variance=estimate.log_factor_variance + less_known)
         return cls(time, filtered, estimate, usual, patterns, statistics.conformal, statistics.charged_soc)

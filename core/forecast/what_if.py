@@ -89,7 +89,7 @@ class CarOutlook:
         self.state, filtered = engine.state[lane], np.zeros(1, SOC_ESTIMATE)
         write_estimate(self.state, filtered[0])
         self.time, lanes, kinds = float(self.state["time"]), np.array([lane]), cars.of_lane[[lane]]
-        time, patterns = np.array([self.time]), statistics.patterns.get(lanes)
+        time, patterns = np.array([self.time]), statistics.patterns[lanes]
         usual_end = time + 3600.0 * expect_rest(patterns, time - filtered["begin"]).hours
         end = usual_end if left is None else np.array([left.plan.shift_end_s])
         ambient = weather.expect_ambient(filtered["ambient"], time, end, statistics.daily_cycle)
@@ -289,14 +289,9 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarsNow) -> EnergyAhead:
     if np.isfinite(usual.energy[0]):
         energy, km, hours = ride.energy + usual.energy, ride.km + usual.km, ride.hours + usual.hours
         return usual._replace(energy=energy, sd=np.hypot(ride.sd, usual.sd), km=km, hours=hours)
-    if queried and _knows_shifts(now):
+    if queried and np.isfinite(now.patterns["hours"][0, LEAST_SHIFTS - 1]):
         return ride._replace(basis=np.full(1, BY_HISTORY))
     return usual
-
-
-def _knows_shifts(now: CarsNow) -> bool:
-    """Return whether enough shifts of the car are remembered."""
-    return bool(np.isfinite(now.patterns["hours"][0]).sum() >= LEAST_SHIFTS)
 
 
 def _explain_unknown_energy(car: CarOutlook, *, later: bool, ended: bool) -> str | None:
@@ -305,7 +300,7 @@ def _explain_unknown_energy(car: CarOutlook, *, later: bool, ended: bool) -> str
         return None
     plan = "the plan that is known has ended; send a new one" if ended else "no plan is known"
     plan = "the plan that is known is of a later shift" if later else plan
-    if _knows_shifts(car.now):
+    if np.isfinite(car.now.patterns["hours"][0, LEAST_SHIFTS - 1]):
         return f"{plan}, and this shift is already longer than every earlier one of this car that is remembered"
     return f"{plan}, and this car has ended too few shifts to estimate the rest of this one"
 

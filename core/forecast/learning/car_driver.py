@@ -111,9 +111,6 @@ class ConsumptionFactors:
             if len(self._drivers) > KEPT_DRIVERS + DRIVERS_PER_CAR * len(self._cars):
                 del self._drivers[next(iter(self._drivers))]
 
-    def __len__(self) -> int:
-        return len(self._cars)
-
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self._cars = take_keys(self._cars, lanes)

@@ -36,7 +36,7 @@ from socast.core.forecast.learning.energy_regression import EnergyRegressions, S
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
 from socast.core.forecast.learning.plan_outcomes import PlanOutcomes
-from socast.core.forecast.learning.shift_patterns import ShiftPatterns
+from socast.core.forecast.learning.shift_patterns import NO_SHIFTS, SHIFT_PATTERNS, remember_shift
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals, join_totals
@@ -107,7 +107,7 @@ class FleetStatistics:
         self.daily_cycle, self.charged_soc, self.plan_outcomes = DailyCycle(), ChargedSoc(), PlanOutcomes()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
-        self.patterns = ShiftPatterns()
+        self.patterns = np.zeros(0, SHIFT_PATTERNS)
         self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
         self.errors: dict[int, list[ShiftErrors] | None] = {}
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
@@ -118,7 +118,7 @@ class FleetStatistics:
         if len(self.prior) < lanes:
             prior = np.array(tuple(self.factors.expect(-1)), LOG_FACTOR_PRIOR)
             self.prior = grown(self.prior, lanes, prior)
-            self.patterns.grow(lanes)
+            self.patterns = grown(self.patterns, lanes, NO_SHIFTS)
 
     def add_stretches(self, rides: Totals, idle: Totals, begin: Floats) -> None:
         """Add rides and idle periods that have ended, in their order, if they are representative.
@@ -197,7 +197,7 @@ class FleetStatistics:
             known = energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh
             self.factors.add_shift(*known, energy.ambient_c, weight)
             if (relative_power := predicted / (usual_kw * energy.hours)) > 0.0:  # false without tables
-                self.patterns.add(energy.lane, energy.hours, relative_power)
+                remember_shift(self.patterns[energy.lane], energy.hours, relative_power)
         self._shifts = []
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
@@ -291,8 +291,7 @@ class FleetStatistics:
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
         self.factors.keep(lanes)
-        self.patterns.keep(lanes)
-        self.prior = take_lanes(self.prior, lanes)
+        self.prior, self.patterns = take_lanes(self.prior, lanes), take_lanes(self.patterns, lanes)
 
     def _get_parts(self) -> tuple[Stateful, ...]:
         """Return what learns, in the order of the state."""
@@ -301,7 +300,7 @@ class FleetStatistics:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        arrays = self.prior.tobytes(), self.patterns.dump(), self.interval_outcomes.tobytes()
+        arrays = self.prior.tobytes(), self.patterns.tobytes(), self.interval_outcomes.tobytes()
         errors = [(lane, of_lane and [each.dump() for each in of_lane]) for lane, of_lane in self.errors.items()]
         return [part.dump() for part in self._get_parts()], self._shifts, errors, *arrays
 
@@ -314,7 +313,7 @@ class FleetStatistics:
         self._shifts = [ShiftEnergy(*each) for each in shifts]
         self.errors = {int(lane): of_lane and [*map(ShiftErrors.load, of_lane)] for lane, of_lane in errors}
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
-        self.patterns.load(patterns)
+        self.patterns = np.frombuffer(patterns, SHIFT_PATTERNS).copy()
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()
 
 

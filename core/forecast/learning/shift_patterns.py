@@ -4,12 +4,12 @@ A car without a plan repeats one of its earlier shifts: of those that were longe
 is as likely. Their mean is expected; how far they differ, and how few they are, is the uncertainty.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints, grown, sum_weighted, take_lanes
+from socast.core.batch import Floats, sum_weighted
 
 LEAST_SHIFTS: Final = 3
 """Number of shifts from which the rest of a shift is expected."""
@@ -21,7 +21,8 @@ SPREAD_SHIFTS: Final = 2.0
 """Number of shifts whose weight that spread has."""
 SHIFT_PATTERNS: Final = np.dtype([(name, "f8", (KEPT_SHIFTS,)) for name in ("hours", "relative_power")])
 """Durations of a car's newest shifts [h], and their energies over the usual energy of as many hours [1]."""
-_NO_SHIFTS: Final = np.full(2 * KEPT_SHIFTS, np.nan).view(SHIFT_PATTERNS)[0]
+NO_SHIFTS: Final = np.full(2 * KEPT_SHIFTS, np.nan).view(SHIFT_PATTERNS)[0]
+"""Those of a car that has ended none."""
 
 
 class RestOfShift(NamedTuple):
@@ -38,49 +39,18 @@ class RestOfShift(NamedTuple):
     work_sd: Floats
 
 
-class ShiftPatterns:
-    """Remember the newest shifts of each car."""
-
-    def __init__(self) -> None:
-        self._known = np.zeros(0, SHIFT_PATTERNS)
-
-    def grow(self, lanes: int) -> None:
-        """Make room for a number of lanes."""
-        self._known = grown(self._known, lanes, _NO_SHIFTS)
-
-    def add(self, lane: int, hours: float, relative_power: float) -> None:
-        """Add the newest shift of a car."""
-        for of_lane, value in zip(self._known[lane], (hours, relative_power), strict=True):
-            of_lane[1:] = of_lane[:-1].copy()
-            of_lane[0] = value
-
-    def get(self, lanes: Ints) -> NDArray[np.void]:
-        """Return the newest shifts of cars, (n,) SHIFT_PATTERNS, NaN where fewer are known."""
-        return self._known[lanes]
-
-    def keep(self, lanes: Ints) -> None:
-        """Keep the state of some lanes only, in their order."""
-        self._known = take_lanes(self._known, lanes)
-
-    def dump(self) -> bytes:
-        """Return the state as plain values."""
-        return self._known.tobytes()
-
-    def load(self, state: bytes) -> None:
-        """Replace the state by one that `dump` returned."""
-        self._known = np.frombuffer(state, SHIFT_PATTERNS).copy()
+def remember_shift(known: Any, hours: float, relative_power: float) -> None:
+    """Add the newest shift of a car to those that are known of it, one row of SHIFT_PATTERNS."""
+    for of_car, value in zip(known, (hours, relative_power), strict=True):
+        of_car[1:] = of_car[:-1].copy()
+        of_car[0] = value
 
 
 def expect_rest(patterns: NDArray[np.void], elapsed: Floats) -> RestOfShift:
-    """Return what is expected of the rest of shifts of cars, some time after they began. [s]
-
-    Parameters
-    ----------
-    patterns : (n,) SHIFT_PATTERNS
-    """
+    """Return what is expected of the rest of shifts, by (n,) SHIFT_PATTERNS and the time since they began [s]."""
     hours, power = patterns["hours"], patterns["relative_power"]
     left = hours - elapsed[:, np.newaxis] / 3600.0
-    longer = (left > 0.0) & (np.isfinite(hours).sum(axis=1) >= LEAST_SHIFTS)[:, np.newaxis]
+    longer = (left > 0.0) & np.isfinite(hours[:, [LEAST_SHIFTS - 1]])
     number = longer.sum(axis=1)
     left, work = np.where(longer, left, 0.0), np.where(longer, power * left, 0.0)
     weights = longer / np.maximum(number, 1)[:, np.newaxis]

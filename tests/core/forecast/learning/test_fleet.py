@@ -35,7 +35,7 @@ def effective(statistics):
     """Return everything that forecasts read."""
     conformal = statistics.conformal.table.tolist()
     plans = statistics.plan_outcomes.factor.tolist(), statistics.plan_outcomes.spread
-    read = statistics.prior.tolist(), statistics.patterns.dump(), plans, statistics.factors._cold_loss
+    read = statistics.prior.tolist(), statistics.patterns.tobytes(), plans, statistics.factors._cold_loss
     cycle = statistics.daily_cycle._since_midnight.tolist()
     return repr((statistics.get_tables(0), conformal, read, cycle))
 

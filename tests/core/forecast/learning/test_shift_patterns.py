@@ -3,23 +3,29 @@
 import numpy as np
 import pytest
 
-from socast.core.forecast.learning.shift_patterns import KEPT_SHIFTS, LEAST_SHIFTS, ShiftPatterns, expect_rest
+from socast.core.forecast.learning.shift_patterns import (
+    KEPT_SHIFTS,
+    LEAST_SHIFTS,
+    NO_SHIFTS,
+    SHIFT_PATTERNS,
+    expect_rest,
+    remember_shift,
+)
 
 HOURS = 3600.0
 
 
-def remember(shifts, lanes=1):
-    """Return patterns of a car, from durations [h] and intensities."""
-    patterns = ShiftPatterns()
-    patterns.grow(lanes)
+def remember(shifts):
+    """Return what is known of a car, (1,) SHIFT_PATTERNS, from durations [h] and intensities."""
+    patterns = np.full(1, NO_SHIFTS, SHIFT_PATTERNS)
     for hours, power in shifts:
-        patterns.add(0, hours, power)
+        remember_shift(patterns[0], hours, power)
     return patterns
 
 
 def expect(patterns, hours):
     """Return what is expected of the rest of the shift of the first car after some hours."""
-    rest = expect_rest(patterns.get(np.zeros(1, np.int64)), np.array([hours * HOURS]))
+    rest = expect_rest(patterns, np.array([hours * HOURS]))
     return [float(each[0]) for each in rest]
 
 
@@ -62,23 +68,12 @@ def test_only_the_newest_shifts_are_remembered():
 
 def test_any_number_of_cars_gives_the_same_bits():
     rng = np.random.default_rng(2)
-    patterns, elapsed = ShiftPatterns(), rng.uniform(0.0, 8.0, 50) * HOURS
-    patterns.grow(50)
+    patterns, elapsed = np.full(50, NO_SHIFTS, SHIFT_PATTERNS), rng.uniform(0.0, 8.0, 50) * HOURS
     for lane in range(50):
         for _ in range(int(rng.integers(0, 30))):
-            patterns.add(lane, rng.uniform(0.1, 9.0), rng.uniform(0.5, 1.5))
-    together = expect_rest(patterns.get(np.arange(50)), elapsed)
-    alone = [expect_rest(patterns.get(np.array([lane])), elapsed[[lane]]) for lane in range(50)]
+            remember_shift(patterns[lane], rng.uniform(0.1, 9.0), rng.uniform(0.5, 1.5))
+    together = expect_rest(patterns, elapsed)
+    alone = [expect_rest(patterns[[lane]], elapsed[[lane]]) for lane in range(50)]
     for name in together._fields:
         apart = np.concatenate([getattr(each, name) for each in alone])
         assert apart.tobytes() == getattr(together, name).tobytes()
-
-
-def test_state_is_restored_and_lanes_are_kept():
-    patterns = remember([(6.0, 1.0)] * 4, lanes=2)
-    patterns.add(1, 3.0, 1.1)
-    other = ShiftPatterns()
-    other.load(patterns.dump())
-    assert other.dump() == patterns.dump()
-    other.keep(np.array([1]))
-    assert other.get(np.zeros(1, np.int64))["hours"][0, 0] == 3.0
