@@ -1,6 +1,7 @@
 """The installed Chromium, driven by Playwright, and pages of a workbench in it."""
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -73,7 +74,8 @@ class Visit:
         self._context = self._browser.new_context(viewport=size or WIDE, color_scheme=scheme, reduced_motion="reduce")
         self.strangers: list[str] = []
         self.errors: list[str] = []
-        self._context.route(lambda address: not address.startswith(server.origin), self._block)
+        # a function in place of the pattern would hold each request until the test calls the browser again
+        self._context.route(re.compile(rf"^(?!{re.escape(server.origin)}/)"), self._block)
         self.page = self._context.new_page()
         self.page.set_default_timeout(60_000)
         self.page.on("console", self._keep_error)
