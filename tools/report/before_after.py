@@ -44,8 +44,8 @@ PLACEBOS: Final = (
     "independent placebo campaigns is smaller."
 )
 MEASURE: Final = (
-    "The change is of the consumption of a day at equal conditions. Days count alike whatever the car drove; those of "
-    "little energy, and those far off, count less or are left out."
+    "The change is of the consumption of a day at equal conditions. Days count by how well they are "
+    "measured: those with little energy, and those far off, count less."
 )
 BINS: Final = 31
 """Number of bars of the placebo campaigns."""
