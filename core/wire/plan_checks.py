@@ -59,7 +59,7 @@ CHARGE_LIMITS: Final = {
 
 
 class ShownParameter(NamedTuple):
-    """Say what the user of a surface calls a quantity of a leg, and how many of the wire's units his unit is."""
+    """Hold the name and the unit of a quantity of a leg on a surface, and that unit in units of the wire."""
 
     name: str
     unit: str
