@@ -47,7 +47,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 32
+SNAPSHOT: Final = 33
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
@@ -155,7 +155,7 @@ _REGRESSION: Final = Row(
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES)
 _CONFORMAL: Final = Row(SUMS, _pack(_CLASSES * len(SCORES), low=0.0), _pack(_CLASSES * len(LEVELS)))
 _OUTCOMES: Final = Packed("i8", count=3, limits={"": COUNT})
-_SHIFT_ERRORS: Final = Row(Number(0, BASES - 1, whole=True), SUMS, _KNOWN, _OUTCOMES, *5 * (SUMS,))
+_SHIFT_ERRORS: Final = Row(Number(0, BASES - 1, whole=True), SUMS, _KNOWN, _OUTCOMES, *6 * (SUMS,))
 _STATISTICS: Final = Row(
     Row(
         ByName(_REGRESSION),

@@ -19,6 +19,7 @@ from socast.core.batch import Floats, Ints, replace_nan, sum_weighted
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
 from socast.core.forecast.learning.consumption_terms import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.plan_outcomes import WAY_HOME
 from socast.core.forecast.learning.shift_patterns import expect_rest
 from socast.core.forecast.planned_legs import compute_share_left
 from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
@@ -48,7 +49,7 @@ class EnergyAhead(NamedTuple):
     Parameters
     ----------
     energy, sd : Energy, and its standard deviation beside that of the level of the shift. [kWh]
-    planned : Energy of driving and of waiting as planned, NaN without a plan, (n, 2) float. [kWh]
+    planned : Energy of driving, of waiting and of a way home as planned, NaN without a plan, (n, parts) float. [kWh]
     km : Distance of rides. [km]
     hours : Time until then. [h]
     end : When the shift ends, not before now nor before the planned legs can be driven. [s]
@@ -161,15 +162,28 @@ class UsualConsumption(NamedTuple):
         """Return the energies of cars at the knots of temperature, interpolated to their temperatures. [kWh]"""
         return sum_weighted(energy, self.weights)
 
+    def compute_parts(self, driving: Floats, waiting: Floats, spare: Floats) -> Floats:
+        """Return the parts of planned energies, with a way home for which there is time to spare, (n, parts). [kWh]
+
+        Units: driving [kWh], waiting [kWh], spare [h].
+        """
+        way_home = np.minimum(WAY_HOME, 60.0 * spare / self.ride_pace) * self.driving_energy_per_km
+        return np.column_stack([driving, waiting, way_home])
+
     def expect_plan(self, parts: Floats) -> MeanAndSd:
-        """Return the energy of what is done of a plan, where `parts` are driving and waiting as planned, (n, 2). [kWh]
+        """Return the energy of what is done of a plan, where `parts` are as in `compute_parts`. [kWh]
 
         With a consumption of one car, any number of plans may be asked for.
         """
-        energy = (parts * self.plan_factor).sum(axis=1)
-        covariance = np.broadcast_to(self.covariance + self.plan_covariance, (len(parts), 2, 2))
-        variance = sum_weighted(sum_weighted(covariance, parts), parts)
-        variance += self.plan_spread * np.maximum(energy, 0.0)
+        driving, waiting, way_home = (parts * self.plan_factor).T
+        energy = driving + waiting + way_home
+        variance = self.plan_spread * np.maximum(energy, 0.0)
+        for covariance, each in (
+            (self.covariance, np.column_stack([driving + way_home, waiting])),
+            (self.plan_covariance, parts),
+        ):
+            of_rows = np.broadcast_to(covariance, (len(parts), *covariance.shape[1:]))
+            variance += sum_weighted(sum_weighted(of_rows, each), each)
         return MeanAndSd(energy, np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -252,7 +266,8 @@ def compute_planned_energy(
     whole, begun, later = (usual.weigh(progress[name]) for name in ("leg_kwh", "begun_kwh", "later_kwh"))
     approaches = times.approaches + has_charge  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
-    parts = np.column_stack([np.where(riding, left * begun, kept * whole) + kept * later, idling])
+    driving = np.where(riding, left * begun, kept * whole) + kept * later
+    parts = usual.compute_parts(driving, idling, np.where(has_charge, 0.0, times.waiting))
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.expect_plan(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean

@@ -161,7 +161,7 @@ class CarOutlook:
     def _compute_leg_energies(self, times: LegTimes, basis: int) -> list[Interval | None]:
         """Return the energy that each leg takes from the battery. [kWh]"""
         zero, n = np.zeros(1), len(times.hours)
-        energy = self.now.usual.expect_plan(np.column_stack([times.driving, np.zeros(n)]))
+        energy = self.now.usual.expect_plan(self.now.usual.compute_parts(times.driving, *np.zeros((2, n))))
         only_leg = self.now.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero, curve=zero)
         end = compute_end_soc(only_leg, energy, times.hours)
         energy_km = energy.mean / self.now.usual.energy_per_km
@@ -184,7 +184,8 @@ class CarOutlook:
             begin = estimate_after_charge(begin, self.legs.charge_to[[place]], passed, now.charged_soc)
         if number == len(charges) and soc.charged is not None:
             begin = soc.charged
-        spent = now.usual.expect_plan(np.cumsum(np.column_stack([times.driving, times.idling])[rows], axis=0))
+        parts = now.usual.compute_parts(times.driving[rows], times.idling[rows], np.zeros(len(rows)))
+        spent = now.usual.expect_plan(np.cumsum(parts, axis=0))
         timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(times.pause[rows] ** 2))
         until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
         of_legs = np.full(len(rows), basis), np.full(len(rows), self.ahead.reserve[0]), np.full(len(rows), most)
@@ -199,7 +200,8 @@ class CarOutlook:
         """Return what the car takes of the energy ahead by plan while it drives no leg; None without a plan. [kWh]"""
         if not self.is_planned:
             return None
-        waiting = self.ahead.planned[:, 1] * self.now.usual.plan_factor[:, 1] * np.exp(self.state["log_capacity"])
+        parts = (self.ahead.planned * self.now.usual.plan_factor)[:, 1:]
+        waiting = parts.sum(axis=1) * np.exp(self.state["log_capacity"])
         factor = np.exp(self.now.estimate.compute_mean_log_factor(self.ahead.hours))
         return none_if_unknown(float((waiting * factor)[0]))
 

@@ -36,7 +36,8 @@ class ForecastRecord(NamedTuple):
     ambient_c : Outside temperature. [°C]
     mean, sd : Forecast charge and its standard deviation. [1]
     lower, upper : Bounds of the published charge, NaN without an interval. [1]
-    driving, waiting : Planned energy until then, NaN without a plan and with `OVER_CHARGE`. [kWh]
+    driving, waiting, way_home : Planned energy until then, and that of a way home, NaN without a plan and with
+        `OVER_CHARGE`. [kWh]
     predicted, level : Energy predicted since the car woke [kWh], and the level of `LegEnergyTables` [1].
     """
 
@@ -51,6 +52,7 @@ class ForecastRecord(NamedTuple):
     upper: float = nan
     driving: float = nan
     waiting: float = nan
+    way_home: float = nan
     predicted: float = nan
     level: float = nan
 
@@ -99,8 +101,8 @@ class ShiftErrors(NamedTuple):
     ahead_km, scores : Distance ahead, and standardised errors, of those with an outcome, (n,) float. [km], [1]
     outcomes : Numbers of forecasts with the outcome below, inside and above the published interval, (3,) int.
     time, ambient_c : When the forecasts were made, and the outside temperature, (m,) float. [s], [°C]
-    driving, waiting, done : Planned energy of driving and of waiting, and that of what was done, by the tables, (m,)
-        float. [kWh]
+    driving, waiting, way_home, done : Energies of the same names of `ForecastRecord`, and that of what was done, by the
+        tables, (m,) float. [kWh]
     """
 
     basis: int
@@ -111,6 +113,7 @@ class ShiftErrors(NamedTuple):
     ambient_c: Floats
     driving: Floats
     waiting: Floats
+    way_home: Floats
     done: Floats
 
     def dump(self) -> Any:
@@ -231,8 +234,8 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
         done[outcome.charged >= of_basis["time"]] = np.nan
         scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
-        time, ambient_c, driving, waiting = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting"))
-        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, time, ambient_c, driving, waiting, done))
+        forecast = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting", "way_home"))
+        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, *forecast, done))
     return out
 
 

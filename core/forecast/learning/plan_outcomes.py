@@ -1,12 +1,12 @@
-"""Learn how far shifts go as planned: how much driving and waiting is left out, or comes on top.
+"""Learn how far shifts go as planned: how much driving and waiting is left out, or comes on top, and the way home.
 
-Passengers do not come, rides are longer than planned, and cars are sent elsewhere. What a car does after a forecast
-takes an energy by the tables of its vehicle model, and so does what was planned. The first is regressed on the planned
-energy of driving and of waiting,
+Passengers do not come, rides are longer than planned, cars are sent elsewhere, and drive home in the end, of which no
+plan tells. What a car does after a forecast takes an energy by the tables of its vehicle model, and so does what was
+planned. The first is regressed on the planned energy of driving and of waiting, and on that of a way home,
 
-    energy done = (1 + x_driving) driving + (1 + x_waiting) waiting + noise,
+    energy done = f_driving driving + f_waiting waiting + f_home way home + noise,
 
-where the variance of the noise is proportional to the planned energy. Both energies are computed, not measured: neither
+where the variance of the noise is proportional to the expected energy. All energies are computed, not measured: neither
 the consumption of the car nor its display matters (Bayesian linear regression with an estimated noise).
 
 References
@@ -22,18 +22,24 @@ from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
 from socast.core.totals.day_sums import DaySums
 
-PRIOR_SD: Final = np.array([0.1, 0.2])
-"""Standard deviation of the share of driving, and of waiting, that comes on top of plans, before any outcome. [1]"""
+PARTS: Final = 3
+HOME: Final = 2
+"""Number of parts of a planned energy: driving, waiting, and a way home of `WAY_HOME`."""
+WAY_HOME: Final = 5.0
+"""Distance of the way home that counts once; how much of it is driven is learned. [km]"""
+PRIOR_MEAN: Final = np.array([1.0, 1.0, 0.0])
+PRIOR_SD: Final = np.array([0.1, 0.2, 1.0])
+"""Mean and standard deviation of the share that is done of each part, before any outcome. [1]"""
 PRIOR_SPREAD: Final = 0.05
 """Variance of the energy of what is done beside that of 1 kWh that is planned, before any outcome. [kWh^2/kWh]"""
 PRIOR_SHIFTS: Final = 10.0
 """Number of shifts whose weight that has."""
 LEAST_KWH: Final = 0.2
-"""Planned energy from which a forecast teaches. [kWh]"""
+"""Expected energy from which a forecast teaches. [kWh]"""
 LARGEST_RESIDUAL_SDS: Final = 3.0
 """A larger error counts as this one. [standard deviations]"""
-FACTOR_LIMITS: Final = 0.3, 2.0
-"""Limits of the energy that is done over that of plans. [1]"""
+FACTOR_LIMITS: Final = np.array([0.3, 0.3, 0.0]), np.array([2.0, 2.0, 3.0])
+"""Limits of these shares. [1]"""
 
 
 class PlanOutcomes:
@@ -41,32 +47,33 @@ class PlanOutcomes:
 
     Attributes
     ----------
-    factor, covariance : Energy done over planned energy, of driving and of waiting, and the covariance of both. [1]
+    factor, covariance : Energy done over planned energy of each part, (parts,), and their covariance. [1]
     spread : Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
     """
 
     def __init__(self) -> None:
-        self._known = DaySums(matrix=(2, 2), right=(2,), squares=(), shifts=())
-        self.today = DaySums(matrix=(2, 2), right=(2,), squares=(), shifts=())
+        self._known, self.today = (
+            DaySums(matrix=(PARTS, PARTS), right=(PARTS,), squares=(), shifts=()) for _ in range(2)
+        )
         self._compute_factors()
 
-    def add_shift(self, driving: Floats, waiting: Floats, done: Floats) -> None:
-        """Add the forecasts of a shift, all together with the weight of one, for the next daily update.
+    def add_shift(self, planned: Floats, done: Floats) -> None:
+        """Add the n forecasts of a shift, all together with the weight of one, for the next daily update.
 
-        Units: driving [kWh], waiting [kWh], done [kWh].
+        Units: planned [kWh], (n, parts); done [kWh].
         """
-        planned = driving + waiting
-        rows = np.flatnonzero(np.isfinite(driving + waiting + done) & (planned > LEAST_KWH))
+        expected = planned @ self.factor
+        rows = np.flatnonzero(np.isfinite(expected + done) & (expected > LEAST_KWH))
         if not len(rows):
             return
-        terms = np.column_stack([driving, waiting])[rows]
-        variance = self.spread * planned[rows]
-        residual = done[rows] - terms @ self.factor
-        clipped = np.clip(residual, *(side * LARGEST_RESIDUAL_SDS * np.sqrt(variance) for side in (-1.0, 1.0)))
-        extra = clipped + terms @ (self.factor - 1.0)
+        terms, expected = planned[rows], expected[rows]
+        variance = self.spread * expected
+        limit = LARGEST_RESIDUAL_SDS * np.sqrt(variance)
+        clipped = np.clip(done[rows] - expected, -limit, limit)
+        extra = clipped + terms @ (self.factor - PRIOR_MEAN)
         self.today.add("matrix", (terms / variance[:, np.newaxis]).T @ terms / len(rows))
         self.today.add("right", (terms / variance[:, np.newaxis]).T @ extra / len(rows))
-        self.today.add("squares", float(np.mean(clipped**2 / planned[rows])))
+        self.today.add("squares", float(np.mean(clipped**2 / expected)))
         self.today.add("shifts", 1.0)
 
     def apply_daily_update(self) -> None:
@@ -79,7 +86,9 @@ class PlanOutcomes:
     def _compute_factors(self) -> None:
         """Compute factors, covariance and spread from the sums."""
         self.covariance = np.linalg.inv(self._known.get("matrix") + np.diag(PRIOR_SD**-2.0))
-        self.factor = np.clip(1.0 + self.covariance @ self._known.get("right"), *FACTOR_LIMITS)
+        factor = PRIOR_MEAN + self.covariance @ self._known.get("right")
+        factor -= self.covariance[HOME] / self.covariance[HOME, HOME] * min(factor[HOME], 0.0)  # given that none is less
+        self.factor = np.clip(factor, *FACTOR_LIMITS)
         squares, shifts = float(self._known.get("squares")), float(self._known.get("shifts"))
         self.spread = (PRIOR_SHIFTS * PRIOR_SPREAD + squares) / (PRIOR_SHIFTS + shifts)
 

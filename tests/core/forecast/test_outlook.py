@@ -58,8 +58,9 @@ def usual(n=1, celsius=CELSIUS, awake_s=np.inf):
     weights = compute_temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
     learned = statistics().compute_usual(np.ones(n, np.int64), weights, np.full(n, awake_s))
     nothing = np.zeros_like(learned.covariance)
+    as_planned, certain = np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3, 3))
     return learned._replace(
-        covariance=nothing, plan_factor=np.ones((n, 2)), plan_covariance=nothing, plan_spread=np.zeros(n)
+        covariance=nothing, plan_factor=as_planned, plan_covariance=certain, plan_spread=np.zeros(n)
     )
 
 
@@ -232,10 +233,10 @@ def test_charge_of_a_display_with_a_curve_falls_by_the_energy(soc, energy, curve
 
 
 def test_plan_that_is_often_left_out_takes_less_energy():
-    parts = np.array([[4.0, 1.0]])
-    seldom = usual()._replace(plan_factor=np.array([[0.75, 1.2]]), plan_spread=np.array([0.04]))
+    parts = np.array([[4.0, 1.0, 0.8]])
+    seldom = usual()._replace(plan_factor=np.array([[0.75, 1.2, 0.5]]), plan_spread=np.array([0.04]))
     expected = seldom.expect_plan(parts)
-    assert (expected.mean[0], expected.sd[0]) == (pytest.approx(4.2), pytest.approx(np.sqrt(0.04 * 4.2)))
+    assert (expected.mean[0], expected.sd[0]) == (pytest.approx(4.6), pytest.approx(np.sqrt(0.04 * 4.6)))
 
 
 def test_after_all_legs_the_rest_is_waiting():
