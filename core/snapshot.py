@@ -126,7 +126,6 @@ FACTOR: Final = Row(REAL, REAL)
 """Mean and variance of the logarithm of a consumption factor."""
 _SHIFT: Final = Row(LANE, Maybe(COUNT), *3 * (REAL,), Text(), *3 * (REAL,))
 _ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
-_AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
 _LATITUDE, _LONGITUDE = Number(-pi / 2, pi / 2, unknown=False), Number(-pi, pi, unknown=False)
 _COUNTS, _CODE, _INDEX = ByName(COUNT), Number(-3.0, MOST), Number(0.0, MOST, unknown=False)
@@ -155,7 +154,8 @@ _REGRESSION: Final = Row(
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES)
 _CONFORMAL: Final = Row(SUMS, _pack(_CLASSES * len(SCORES), low=0.0), _pack(_CLASSES * len(LEVELS)))
 _OUTCOMES: Final = Packed("i8", count=3, limits={"": COUNT})
-_SHIFT_ERRORS: Final = Row(Number(0, BASES - 1, whole=True), SUMS, _KNOWN, _OUTCOMES, *6 * (SUMS,))
+_RECORDS: Final = Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)})
+_SHIFT_ERRORS: Final = Row(_RECORDS, SUMS, SUMS, _OUTCOMES)
 _STATISTICS: Final = Row(
     Row(
         ByName(_REGRESSION),
@@ -166,7 +166,7 @@ _STATISTICS: Final = Row(
         ),
         _CONFORMAL,
         Row(SUMS, _grid(2, HOURS)),
-        Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), SUMS),
+        Row(SUMS, SUMS),
         Row(SUMS, SUMS),
     ),
     Many(_SHIFT),
@@ -236,7 +236,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         _PLANS,
         Many(Row(_TEXT, Many(Row(_UNIX, _UNIX, _KELVIN)))),
         Row(
-            Many(Row(LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
+            Many(Row(LANE, _RECORDS)),
             Packed("f8"),
             Packed("f8"),
             Packed("f8"),

@@ -12,6 +12,7 @@ from socast.core.columns import ZERO_CELSIUS
 from socast.core.forecast.conformal import BY_PLAN, LEVELS, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.learning.fleet import FleetStatistics
 from socast.core.forecast.learning.forecast_errors import ForecastRecord
+from socast.core.forecast.learning.plan_outcomes import PLAN_PARTS
 from socast.core.forecast.outlook import (
     compute_planned_energy,
     compute_range,
@@ -46,9 +47,8 @@ FORECAST_ROW: Final = np.dtype(
         ("ride_km_ahead", "f8"),  # distance of rides ahead [km]
         ("reserve", "f8"),  # [1]
         ("ambient_c", "f8"),  # outside temperature [°C]
-        ("driving_kwh", "f8"),  # energy as planned until the next planned charge, or else the end of the shift [kWh]
-        ("waiting_kwh", "f8"),
-        ("way_home_kwh", "f8"),
+        # energy as planned until the next planned charge, or else the end of the shift [kWh]
+        *((name, "f8") for name in PLAN_PARTS),
         # at the end of the shift
         *_list_fields("soc_end_of_shift"),  # charge [1]
         ("reserve_risk", "f8"),  # probability of ending below the reserve [1]
@@ -158,7 +158,8 @@ def compute_forecast_rows(
     rows["soc"], rows["soc_sd"] = now.estimate.soc, compute_soc_sd(now.estimate)
     rows["shift_end_s"], rows["reserve"], rows["basis"] = ahead.end, ahead.reserve, soc.basis
     rows["ambient_c"] = estimates["ambient"] - ZERO_CELSIUS
-    rows["driving_kwh"], rows["waiting_kwh"], rows["way_home_kwh"] = ahead.planned.T
+    for name, planned in zip(PLAN_PARTS, ahead.planned.T, strict=True):
+        rows[name] = planned
     charges = soc.basis == OVER_CHARGE
     rows["ride_km_ahead"] = np.where(charges, ahead.km + progress["after_km"], ahead.km)
     rows["charge_to"] = np.where(charges, progress["charge_to"], np.nan)
@@ -194,5 +195,5 @@ def _create_record(row: NDArray[np.void], columns: Sequence[str]) -> ForecastRec
     """Return the record of the forecast in some columns, for the end of the shift."""
     _, lower, upper, _, mean, sd, ahead_km = (row[name].item() for name in columns)
     time, end, basis, ambient_c = (row[name].item() for name in ("time", "shift_end_s", "basis", "ambient_c"))
-    planned = (row[name].item() for name in ("driving_kwh", "waiting_kwh", "way_home_kwh", "awake_predicted", "level"))
+    planned = (row[name].item() for name in (*PLAN_PARTS, "awake_predicted", "level"))
     return ForecastRecord(time, end, basis, ahead_km, ambient_c, mean, sd, lower, upper, *planned)

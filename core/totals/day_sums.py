@@ -42,3 +42,36 @@ class DaySums:
             raise ValueError("sums of another number, or not a number")
         for name, part in self._parts.items():
             self._parts[name], values = values[: part.size].reshape(part.shape).copy(), values[part.size :]
+
+
+class DailyLearner:
+    """Learn from sums that lose weight day by day.
+
+    Attributes
+    ----------
+    known, today : Sums that have taken effect, and those since the last daily update.
+    """
+
+    def __init__(self, **shapes: tuple[int, ...]) -> None:
+        self.known, self.today = DaySums(**shapes), DaySums(**shapes)
+        self.fit()
+
+    def fit(self) -> None:
+        """Compute what follows from the known sums."""
+
+    def take_day(self, memory: float, weight: float = 1.0) -> None:
+        """Let the sums of the day take effect with a weight, and the known ones keep a share of theirs."""
+        self.known.age(memory, self.today, weight)
+        self.today.clear()
+        self.fit()
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        return self.known.dump(), self.today.dump()
+
+    def load(self, state: Any) -> None:
+        """Replace the state by one that `dump` returned."""
+        known, today = state
+        self.known.load(known)
+        self.today.load(today)
+        self.fit()

@@ -14,13 +14,13 @@ Gelman et al., Bayesian Data Analysis, 3rd edition, section 14.8, ISBN 978-1-439
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY
-from socast.core.totals.day_sums import DaySums
+from socast.core.totals.day_sums import DailyLearner
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""
@@ -34,19 +34,18 @@ _ROUNDS: Final = 5  # between coefficients and noise
 _SUMS: Final = 6  # n, x, x^2, y, x y, y^2
 
 
-class ChargedSoc:
+class ChargedSoc(DailyLearner):
     """Learn the charge after planned charges.
 
     Attributes
     ----------
     coefficients, covariance : Offset and slope, and their covariance, (2,) and (2, 2) float. [1]
     variance : Variance of the noise. [1]
-    today : Since the last daily update: number of charges, and sums of x, x^2, y, x y and y^2.
+    known, today : Number of charges, and sums of x, x^2, y, x y and y^2.
     """
 
     def __init__(self) -> None:
-        self._sums, self.today = np.zeros(_SUMS), DaySums(sums=(_SUMS,))
-        self._fit()
+        super().__init__(sums=(_SUMS,))
 
     def add_charges(self, outcomes: Sequence[tuple[float, float]]) -> None:
         """Add planned charges with the charge that the car departed with, for the next daily update. [1]"""
@@ -57,15 +56,12 @@ class ChargedSoc:
 
     def apply_daily_update(self) -> None:
         """Let the charges since the last daily update take effect."""
-        today = self.today.get("sums")
-        if today[0]:
-            self._sums = DAY_MEMORY * self._sums + today
-            self.today.clear()
-            self._fit()
+        if self.today.get("sums")[0]:
+            self.take_day(DAY_MEMORY)
 
-    def _fit(self) -> None:
+    def fit(self) -> None:
         """Compute coefficients and noise from the sums."""
-        n, x, xx, y, xy, yy = self._sums.tolist()
+        n, x, xx, y, xy, yy = self.known.get("sums").tolist()
         matrix, right = np.array([[n, x], [x, xx]]), np.array([y, xy])
         self.variance = NOISE_SD**2
         for _ in range(_ROUNDS):
@@ -90,14 +86,3 @@ class ChargedSoc:
         (of_offset, of_both), (_, of_slope) = self.covariance.tolist()
         variance = self.variance + of_offset + 2.0 * of_both * x + of_slope * x**2
         return np.clip(planned + offset + slope * x, 0.0, 1.0), variance
-
-    def dump(self) -> Any:
-        """Return the state as plain values."""
-        return self._sums.tolist(), self.today.dump()
-
-    def load(self, state: Any) -> None:
-        """Replace the state by one that `dump` returned."""
-        sums, today = state
-        self._sums = np.array(sums, np.float64)
-        self.today.load(today)
-        self._fit()

@@ -35,7 +35,7 @@ from socast.core.forecast.learning.daily_cycle import DailyCycle
 from socast.core.forecast.learning.energy_regression import EnergyRegressions, StretchRows
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import LegEnergyTables
-from socast.core.forecast.learning.plan_outcomes import PARTS, PlanOutcomes
+from socast.core.forecast.learning.plan_outcomes import PLAN_PARTS, PlanOutcomes
 from socast.core.forecast.learning.shift_patterns import NO_SHIFTS, SHIFT_PATTERNS, remember_shift
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
@@ -159,11 +159,12 @@ class FleetStatistics:
     def _learn_errors(self) -> None:
         """Learn from the errors of forecasts whose cars are trusted."""
         for each in chain.from_iterable(errors or () for errors in self.errors.values()):
-            self.plan_outcomes.add_shift(np.column_stack([each.driving, each.waiting, each.way_home]), each.done)
+            records = each.records
+            self.plan_outcomes.add_shift(np.column_stack([records[name] for name in PLAN_PARTS]), each.done)
             if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
-                self.daily_cycle.add_shift(each.time, each.ambient_c)
-            if len(each.scores):
-                self.conformal.add_shift(each.basis, each.ahead_km, each.scores)
+                self.daily_cycle.add_shift(records["time"], records["ambient_c"])
+            if len(rows := np.flatnonzero(np.isfinite(each.scores))):
+                self.conformal.add_shift(each.basis, records["ahead_km"][rows], each.scores[rows])
         self.errors = {}
 
     def add_shift(self, energy: ShiftEnergy) -> None:
@@ -231,8 +232,8 @@ class FleetStatistics:
             weights,
             **usual,
             covariance=sum_weighted(self._stacked["parts_covariance"][kinds], weights),
-            plan_factor=np.broadcast_to(plans.factor, (n, PARTS)),
-            plan_covariance=np.broadcast_to(plans.covariance, (n, PARTS, PARTS)),
+            plan_factor=np.broadcast_to(plans.factor, (n, len(PLAN_PARTS))),
+            plan_covariance=np.broadcast_to(plans.covariance, (n, *plans.covariance.shape)),
             plan_spread=np.full(n, plans.spread),
         )
 

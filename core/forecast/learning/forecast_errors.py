@@ -94,39 +94,37 @@ class Outcome(NamedTuple):
 
 
 class ShiftErrors(NamedTuple):
-    """Hold what became of the m forecasts of one shift with the same basis, n of which have an outcome.
+    """Hold what became of the m forecasts of one shift with the same basis.
 
     Parameters
     ----------
-    ahead_km, scores : Distance ahead, and standardised errors, of those with an outcome, (n,) float. [km], [1]
+    records : (m,) FORECAST_RECORDS.
+    scores : Standardised errors, NaN of those without an outcome, (m,) float. [1]
+    done : Energy of what was done until the end, by the tables, NaN where unknown, (m,) float. [kWh]
     outcomes : Numbers of forecasts with the outcome below, inside and above the published interval, (3,) int.
-    time, ambient_c : When the forecasts were made, and the outside temperature, (m,) float. [s], [°C]
-    driving, waiting, way_home, done : Energies of the same names of `ForecastRecord`, and that of what was done, by the
-        tables, (m,) float. [kWh]
     """
 
-    basis: int
-    ahead_km: Floats
+    records: NDArray[np.void]
     scores: Floats
-    outcomes: Ints
-    time: Floats
-    ambient_c: Floats
-    driving: Floats
-    waiting: Floats
-    way_home: Floats
     done: Floats
+    outcomes: Ints
+
+    @property
+    def basis(self) -> int:
+        """Basis of the forecasts."""
+        return int(self.records["basis"][0])
 
     def dump(self) -> Any:
         """Return the errors as plain values."""
-        return self.basis, *(each.tobytes() for each in self[1:])
+        return tuple(each.tobytes() for each in self)
 
     @classmethod
     def load(cls, state: Any) -> "ShiftErrors":
         """Return the errors that `dump` returned; raise ValueError where their numbers do not fit."""
-        basis, *packed = state
-        types = (np.int64 if name == "outcomes" else np.float64 for name in cls._fields[1:])
-        known = cls(int(basis), *(np.frombuffer(*each) for each in zip(packed, types, strict=True)))
-        if len(known.ahead_km) != len(known.scores) or len({len(each) for each in known[4:]}) > 1:
+        records, scores, done, outcomes = state
+        sums = np.frombuffer(scores), np.frombuffer(done), np.frombuffer(outcomes, np.int64)
+        known = cls(np.frombuffer(records, FORECAST_RECORDS), *sums)
+        if not len(known.records) == len(known.scores) == len(known.done) > 0:
             raise ValueError("errors of forecasts of another number")
         return known
 
@@ -224,18 +222,16 @@ def compute_shift_errors(records: NDArray[np.void], outcome: Outcome) -> list[Sh
 
     What was done of a plan is known nevertheless, unless the car charged unplanned.
     """
-    soc = outcome.soc
-    last = np.where(records["basis"] == OVER_CHARGE, outcome.faulty, np.fmax(outcome.charged, outcome.faulty))
-    usable = ~(last >= records["time"]) & (records["mean"] >= 0.0) & np.isfinite(soc)
     out = []
     for basis in np.unique(records["basis"]):
-        of_basis, known = records[records["basis"] == basis], usable[records["basis"] == basis]
-        judged = of_basis[known]
+        of_basis = records[records["basis"] == basis]
+        last = outcome.faulty if basis == OVER_CHARGE else np.fmax(outcome.charged, outcome.faulty)
+        known = ~(last >= of_basis["time"]) & (of_basis["mean"] >= 0.0) & np.isfinite(outcome.soc)
+        scores = np.where(known, (outcome.soc - of_basis["mean"]) / of_basis["sd"], nan)
         done = outcome.predicted * np.exp(of_basis["level"] - outcome.level) - of_basis["predicted"]
-        done[outcome.charged >= of_basis["time"]] = np.nan
-        scores, counts = (soc - judged["mean"]) / judged["sd"], count_outcomes(judged["lower"], judged["upper"], soc)
-        forecast = (of_basis[name] for name in ("time", "ambient_c", "driving", "waiting", "way_home"))
-        out.append(ShiftErrors(int(basis), judged["ahead_km"], scores, counts, *forecast, done))
+        done[outcome.charged >= of_basis["time"]] = nan
+        counts = count_outcomes(of_basis["lower"][known], of_basis["upper"][known], outcome.soc)
+        out.append(ShiftErrors(of_basis, scores, done, counts))
     return out
 
 

@@ -14,21 +14,21 @@ References
 Gelman et al., Bayesian Data Analysis, 3rd edition, sections 14.2 and 14.8, ISBN 978-1-4398-4095-5.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
-from socast.core.totals.day_sums import DaySums
+from socast.core.totals.day_sums import DailyLearner
 
-PARTS: Final = 3
-HOME: Final = 2
-"""Number of parts of a planned energy: driving, waiting, and a way home of `WAY_HOME`."""
+PLAN_PARTS: Final = "driving", "waiting", "way_home"
+"""Parts of a planned energy; no plan tells of the last one."""
+_HOME: Final = PLAN_PARTS.index("way_home")
 WAY_HOME: Final = 5.0
 """Distance of the way home that counts once; how much of it is driven is learned. [km]"""
 PRIOR_MEAN: Final = np.array([1.0, 1.0, 0.0])
-PRIOR_SD: Final = np.array([0.1, 0.2, 1.0])
+PRIOR_SD: Final = np.array([0.1, 0.2, 0.7])
 """Mean and standard deviation of the share that is done of each part, before any outcome. [1]"""
 PRIOR_SPREAD: Final = 0.05
 """Variance of the energy of what is done beside that of 1 kWh that is planned, before any outcome. [kWh^2/kWh]"""
@@ -42,7 +42,7 @@ FACTOR_LIMITS: Final = np.array([0.3, 0.3, 0.0]), np.array([2.0, 2.0, 3.0])
 """Limits of these shares. [1]"""
 
 
-class PlanOutcomes:
+class PlanOutcomes(DailyLearner):
     """Learn what is done of what is planned.
 
     Attributes
@@ -52,10 +52,8 @@ class PlanOutcomes:
     """
 
     def __init__(self) -> None:
-        self._known, self.today = (
-            DaySums(matrix=(PARTS, PARTS), right=(PARTS,), squares=(), shifts=()) for _ in range(2)
-        )
-        self._compute_factors()
+        n = len(PLAN_PARTS)
+        super().__init__(matrix=(n, n), right=(n,), squares=(), shifts=())
 
     def add_shift(self, planned: Floats, done: Floats) -> None:
         """Add the n forecasts of a shift, all together with the weight of one, for the next daily update.
@@ -79,26 +77,14 @@ class PlanOutcomes:
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
         if shifts := int(self.today.get("shifts")):
-            self._known.age(DAY_MEMORY, self.today, weigh_day(shifts))
-        self.today.clear()
-        self._compute_factors()
+            self.take_day(DAY_MEMORY, weigh_day(shifts))
 
-    def _compute_factors(self) -> None:
+    def fit(self) -> None:
         """Compute factors, covariance and spread from the sums."""
-        self.covariance = np.linalg.inv(self._known.get("matrix") + np.diag(PRIOR_SD**-2.0))
-        factor = PRIOR_MEAN + self.covariance @ self._known.get("right")
-        factor -= self.covariance[HOME] / self.covariance[HOME, HOME] * min(factor[HOME], 0.0)  # given that none is less
+        self.covariance = np.linalg.inv(self.known.get("matrix") + np.diag(PRIOR_SD**-2.0))
+        factor = PRIOR_MEAN + self.covariance @ self.known.get("right")
+        of_home = self.covariance[_HOME] / self.covariance[_HOME, _HOME]
+        factor -= of_home * min(factor[_HOME], 0.0)  # given that a way home is not below none
         self.factor = np.clip(factor, *FACTOR_LIMITS)
-        squares, shifts = float(self._known.get("squares")), float(self._known.get("shifts"))
+        squares, shifts = float(self.known.get("squares")), float(self.known.get("shifts"))
         self.spread = (PRIOR_SHIFTS * PRIOR_SPREAD + squares) / (PRIOR_SHIFTS + shifts)
-
-    def dump(self) -> Any:
-        """Return the state as plain values."""
-        return self._known.dump(), self.today.dump()
-
-    def load(self, state: Any) -> None:
-        """Replace the state by one that `dump` returned."""
-        known, today = state
-        self._known.load(known)
-        self.today.load(today)
-        self._compute_factors()

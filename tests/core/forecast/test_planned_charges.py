@@ -127,7 +127,7 @@ def test_short_plugging_in_and_a_charge_before_the_plan_use_up_no_charge():
 def learned_of(pipeline):
     """Return the number of forecasts by basis that the day's shifts have taught."""
     errors = pipeline.engine.statistics.errors.values()
-    known = [each.basis for of_lane in errors for each in of_lane if len(each.scores)]
+    known = [each.basis for of_lane in errors for each in of_lane if np.isfinite(each.scores).any()]
     return [known.count(basis) for basis in range(BASES)]
 
 
