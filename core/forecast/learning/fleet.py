@@ -234,7 +234,7 @@ class FleetStatistics:
             covariance=sum_weighted(self._stacked["parts_covariance"][kinds], weights),
             plan_factor=np.broadcast_to(plans.factor, (n, len(PLAN_PARTS))),
             plan_covariance=np.broadcast_to(plans.covariance, (n, *plans.covariance.shape)),
-            plan_spread=np.full(n, plans.spread),
+            plan_spread=np.full(n, plans.variance),
         )
 
     def _interpolate(self, name: str, kinds: Ints, weights: Floats) -> Floats:

@@ -7,11 +7,7 @@ planned. The first is regressed on the planned energy of driving and of waiting,
     energy done = f_driving driving + f_waiting waiting + f_home way home + noise,
 
 where the variance of the noise is proportional to the expected energy. All energies are computed, not measured: neither
-the consumption of the car nor its display matters (Bayesian linear regression with an estimated noise).
-
-References
-----------
-Gelman et al., Bayesian Data Analysis, 3rd edition, sections 14.2 and 14.8, ISBN 978-1-4398-4095-5.
+the consumption of the car nor its display matters.
 """
 
 from typing import Final
@@ -20,7 +16,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
-from socast.core.totals.day_sums import DailyLearner
+from socast.core.forecast.learning.daily_regression import DailyRegression, NoisePrior
 
 PLAN_PARTS: Final = "driving", "waiting", "way_home"
 """Parts of a planned energy; no plan tells of the last one."""
@@ -30,10 +26,9 @@ WAY_HOME: Final = 5.0
 PRIOR_MEAN: Final = np.array([1.0, 1.0, 0.0])
 PRIOR_SD: Final = np.array([0.1, 0.2, 0.7])
 """Mean and standard deviation of the share that is done of each part, before any outcome. [1]"""
-PRIOR_SPREAD: Final = 0.05
-"""Variance of the energy of what is done beside that of 1 kWh that is planned, before any outcome. [kWh^2/kWh]"""
-PRIOR_SHIFTS: Final = 10.0
-"""Number of shifts whose weight that has."""
+SPREAD: Final = NoisePrior(0.05, 10.0)
+"""Variance of the energy of what is done beside that of 1 kWh that is planned, before any outcome [kWh^2/kWh], with the
+weight of some shifts."""
 LEAST_KWH: Final = 0.2
 """Expected energy from which a forecast teaches. [kWh]"""
 LARGEST_RESIDUAL_SDS: Final = 3.0
@@ -42,18 +37,17 @@ FACTOR_LIMITS: Final = np.array([0.3, 0.3, 0.0]), np.array([2.0, 2.0, 3.0])
 """Limits of these shares. [1]"""
 
 
-class PlanOutcomes(DailyLearner):
-    """Learn what is done of what is planned.
+class PlanOutcomes(DailyRegression):
+    """Learn what is done of what is planned; the coefficients are the shares that come on top of `PRIOR_MEAN`.
 
     Attributes
     ----------
     factor, covariance : Energy done over planned energy of each part, (parts,), and their covariance. [1]
-    spread : Variance of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    variance : That of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
     """
 
     def __init__(self) -> None:
-        n = len(PLAN_PARTS)
-        super().__init__(matrix=(n, n), right=(n,), squares=(), shifts=())
+        super().__init__(PRIOR_SD, SPREAD)
 
     def add_shift(self, planned: Floats, done: Floats) -> None:
         """Add the n forecasts of a shift, all together with the weight of one, for the next daily update.
@@ -62,29 +56,21 @@ class PlanOutcomes(DailyLearner):
         """
         expected = planned @ self.factor
         rows = np.flatnonzero(np.isfinite(expected + done) & (expected > LEAST_KWH))
-        if not len(rows):
-            return
-        terms, expected = planned[rows], expected[rows]
-        variance = self.spread * expected
-        limit = LARGEST_RESIDUAL_SDS * np.sqrt(variance)
-        clipped = np.clip(done[rows] - expected, -limit, limit)
-        extra = clipped + terms @ (self.factor - PRIOR_MEAN)
-        self.today.add("matrix", (terms / variance[:, np.newaxis]).T @ terms / len(rows))
-        self.today.add("right", (terms / variance[:, np.newaxis]).T @ extra / len(rows))
-        self.today.add("squares", float(np.mean(clipped**2 / expected)))
-        self.today.add("shifts", 1.0)
+        if len(rows):
+            planned, expected = planned[rows], expected[rows]
+            limit = LARGEST_RESIDUAL_SDS * np.sqrt(self.variance * expected)
+            clipped = expected + np.clip(done[rows] - expected, -limit, limit)
+            self.observe(planned, clipped - planned @ PRIOR_MEAN, expected)
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
-        if shifts := int(self.today.get("shifts")):
+        if shifts := int(self.today.get("weight")):
             self.take_day(DAY_MEMORY, weigh_day(shifts))
 
     def fit(self) -> None:
-        """Compute factors, covariance and spread from the sums."""
-        self.covariance = np.linalg.inv(self.known.get("matrix") + np.diag(PRIOR_SD**-2.0))
-        factor = PRIOR_MEAN + self.covariance @ self.known.get("right")
+        """Compute the factors from the known sums."""
+        super().fit()
+        factor = PRIOR_MEAN + self.coefficients
         of_home = self.covariance[_HOME] / self.covariance[_HOME, _HOME]
         factor -= of_home * min(factor[_HOME], 0.0)  # given that a way home is not below none
         self.factor = np.clip(factor, *FACTOR_LIMITS)
-        squares, shifts = float(self.known.get("squares")), float(self.known.get("shifts"))
-        self.spread = (PRIOR_SHIFTS * PRIOR_SPREAD + squares) / (PRIOR_SHIFTS + shifts)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.core.forecast.learning.charged_soc import NOISE_SD, ChargedSoc
+from socast.core.forecast.learning.charged_soc import NOISE, ChargedSoc
 
 PLANNED = np.array([0.6, 0.7, 0.8, 0.9])
 
@@ -19,7 +19,7 @@ def learned(outcomes, days=1):
 def test_plan_counts_before_any_outcome():
     mean, variance = ChargedSoc().expect(PLANNED)
     assert mean == pytest.approx(PLANNED)
-    assert (variance > NOISE_SD**2).all()
+    assert (variance > NOISE.variance).all()
 
 
 @pytest.mark.parametrize("slope", [0.0, -1.0])

@@ -34,7 +34,7 @@ def count_learned(statistics):
 def effective(statistics):
     """Return everything that forecasts read."""
     conformal = statistics.conformal.table.tolist()
-    plans = statistics.plan_outcomes.factor.tolist(), statistics.plan_outcomes.spread
+    plans = statistics.plan_outcomes.factor.tolist(), statistics.plan_outcomes.variance
     read = statistics.prior.tolist(), statistics.patterns.tobytes(), plans, statistics.factors._cold_loss
     cycle = statistics.daily_cycle._since_midnight.tolist()
     return repr((statistics.get_tables(0), conformal, read, cycle))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socast.core.forecast.learning.plan_outcomes import PRIOR_SPREAD, PlanOutcomes
+from socast.core.forecast.learning.plan_outcomes import SPREAD, PlanOutcomes
 
 
 def learn(shifts, seed=1, driving=1.0, waiting=1.0, way_home=0.0, spread=0.02, per_day=5):
@@ -22,7 +22,7 @@ def learn(shifts, seed=1, driving=1.0, waiting=1.0, way_home=0.0, spread=0.02, p
 def test_plans_are_believed_before_any_outcome():
     outcomes = PlanOutcomes()
     assert outcomes.factor.tolist() == [1.0, 1.0, 0.0]
-    assert outcomes.spread == PRIOR_SPREAD
+    assert outcomes.variance == SPREAD.variance
 
 
 @pytest.mark.parametrize("shares", [(1.0, 1.0, 0.0), (0.75, 1.0, 0.0), (1.1, 0.8, 0.0), (1.0, 1.0, 1.5)])
@@ -40,7 +40,7 @@ def test_no_way_home_is_less_than_none():
 
 @pytest.mark.parametrize("spread", [0.005, 0.2])
 def test_spread_of_what_is_done_is_recovered(spread):
-    assert learn(300, spread=spread).spread == pytest.approx(spread, rel=0.35, abs=0.006)
+    assert learn(300, spread=spread).variance == pytest.approx(spread, rel=0.35, abs=0.006)
 
 
 def test_one_shift_changes_little_and_unknown_ones_nothing():
