@@ -105,8 +105,6 @@ OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
 CLOCK_ROLLOVER: Final = int(Quality.CLOCK_ROLLOVER)
 NOT_OF_RIDE: Final = motion.BRIDGED | meters.SOC_JUMP | meters.SOC_FROZEN
 """Bits that a step before a ride does not pass on to it."""
-STALE: Final = 60.0
-"""Age beyond which a state of charge does not count for a ride that begins. [s]"""
 
 
 class Cleaner:
@@ -317,7 +315,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
         state.heading,
         state.elevation,
     )
-    row.soc = state.soc if state.soc_age <= max(STALE, state.elapsed) else nan  # an older one is from before the ride
+    row.soc = state.soc if state.soc_age <= max(meters.SOC_HELD, state.elapsed) else nan  # else from before the ride
     row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
     row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
     row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power
@@ -357,7 +355,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.section_distance = state.tick_distance = nan
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)
-        if state.soc_age > STALE:
+        if state.soc_age > meters.SOC_HELD:
             state.soc = nan
     elif int(row.quality) & clock.PAUSED:  # nothing tells whether the clock was set
         row.mistimed += dt

@@ -128,6 +128,8 @@ USUAL_RATE: Final = 0.025 / 1000.0
 """Rate at which a driving car uses its battery at most, on average over some minutes. [1/m]
 
 Estimated: 0.6 kWh/km of 24 kWh, four times the consumption of a Leaf, or twice that of a Twizy with 6 kWh in winter."""
+SOC_HELD: Final = 60.0
+"""Age beyond which a state of charge does not count for a ride that begins, nor while the car charges. [s]"""
 STALE_QUANTA: Final = 1.5
 """Number of quanta by which a change soon after a pause may exceed what the car has used since. [1]"""
 CHARGING_POWER: Final = 500.0
@@ -265,6 +267,8 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
         begin_stillness(state, 0.0)
     if isnan(row.raw_soc):
         row.quality += SOC_MISSING if state.has_soc == 1.0 else 0
+        if dt > LONGEST_STILLNESS or (row.raw_charging == 1.0 and state.soc_age > SOC_HELD):
+            state.soc = nan  # the car may have charged since
         return False
     state.has_soc = 1.0
     if state.soc_age > LONGEST_STILLNESS:  # whatever changed meanwhile, the car was asleep
