@@ -18,8 +18,9 @@ HOURS: Final = 24
 """Number of hours of a day."""
 PRIOR_DAYS: Final = 2.0
 """Number of days whose weight the prior has, by which the temperature does not change."""
-LONGEST_STEP: Final = 3600.0
-"""Longest time between two temperatures of which the change counts. [s]"""
+STEP: Final = 3000.0, 7200.0
+"""Shortest and longest time between two temperatures of which the change counts: in less, a car passes from street to
+street, and an observation of a station comes at once. [s]"""
 WHOLE_OBSERVATION: Final = 900.0
 """Time for which an hour must be observed to count as a whole. [s]"""
 LARGEST_RATE: Final = 6.0
@@ -42,9 +43,11 @@ class DailyCycle:
 
     def add_shift(self, time: Floats, celsius: Floats) -> None:
         """Add the outside temperatures of a shift, for the next daily update."""
-        step, change = np.diff(time), np.diff(celsius)
-        usable = (step > 0.0) & (step <= LONGEST_STEP) & (np.abs(change) * 3600.0 <= LARGEST_RATE * step)
-        hour = ((time[:-1] + 0.5 * step) % SECONDS_PER_DAY / 3600.0).astype(np.int64)[usable]
+        later = np.searchsorted(time, time + STEP[0])
+        first, later = np.flatnonzero(later < len(time)), later[later < len(time)]
+        step, change = time[later] - time[first], celsius[later] - celsius[first]
+        usable = (step >= STEP[0]) & (step <= STEP[1]) & (np.abs(change) * 3600.0 <= LARGEST_RATE * step)
+        hour = ((time[first] + 0.5 * step) % SECONDS_PER_DAY / 3600.0).astype(np.int64)[usable]
         self.today.add("change", np.bincount(hour, change[usable], HOURS))
         self.today.add("seconds", np.bincount(hour, step[usable], HOURS))
 
