@@ -373,7 +373,7 @@ def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> 
     predicted = energy.mean / estimate.capacity
     variance = (
         estimate.variance
-        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours)
+        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours / 3.0)
         + (energy.sd / estimate.capacity) ** 2
         - 2.0 * predicted * estimate.covariance
         + ENERGY_SD**2 * np.maximum(energy.mean, 0.0) / estimate.capacity**2
