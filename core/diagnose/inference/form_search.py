@@ -22,7 +22,7 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm, Modulator, list_modulators
-from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
+from socast.core.diagnose.inference.alternatives import LEAST_LEFT, add_dates, count_dates, factorise_free, weigh_alone
 from socast.core.diagnose.inference.loads import find_load
 from socast.core.diagnose.inference.window_columns import UnknownForm
 from socast.core.diagnose.inference.window_model import WindowModel
@@ -177,7 +177,7 @@ class FormSearch:
             for term, one in zip(terms, size.tolist(), strict=True)
         ]
         odds = _compute_evidence(model, energy * size) + np.array([form.log_share for form in forms])
-        dates = count_dates(np.abs(energy).T, model.columns.date_of_day[model.columns.day])
+        dates = count_dates(np.abs(energy).T, add_dates(model.columns.date_of_day[model.columns.day]))
         return _Scores(forms, np.where(dates < LEAST_DATES, -np.inf, odds))
 
 

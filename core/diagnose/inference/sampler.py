@@ -108,30 +108,31 @@ def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
     sets: Counter[tuple[int, ...]] = Counter()
     kept: dict[tuple[int, ...], _Odds] = {}
 
-    def weigh(without: int) -> _Odds:
-        """Return the odds of each alternative beside what is true in other families than one."""
-        true = [family for family in sorted(state) if family != without]
-        others = tuple([state[family] for family in true])
+    def weigh() -> _Odds:
+        """Return the odds of each alternative beside what is true."""
+        others = tuple([state[family] for family in sorted(state)])
         if others not in kept:
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             odds = weigh_further(given, list(others), every) + given.log_odds
-            kept[others] = _Odds(odds, np.concatenate([rows[each] for each in rows if each not in true]))
+            kept[others] = _Odds(odds, np.concatenate([rows[each] for each in rows if each not in state]))
         return kept[others]
 
     for sweep in range(SWEEPS):
+        beside: _Odds | None = None
         for family in rng.permutation(families).tolist():
-            chances, cumulative = weigh(family).of_family(family, rows[family])
+            if state.pop(family, None) is not None or beside is None:
+                beside = weigh()
+            chances, cumulative = beside.of_family(family, rows[family])
             drawn = int(cumulative.searchsorted(rng.random(), side="right"))
-            state.pop(family, None)
             if drawn < len(chances):
-                state[family] = int(rows[family][drawn])
+                state[family], beside = int(rows[family][drawn]), None
             if sweep >= BURNT:
                 total[rows[family]] += chances
         for family in sorted(state):  # one moves to any free family
-            beside = weigh(family)
-            drawn = int(beside.open_rows[beside.of_open.searchsorted(rng.random(), side="right")])
             del state[family]
+            beside = weigh()
+            drawn = int(beside.open_rows[beside.of_open.searchsorted(rng.random(), side="right")])
             state[int(given.family[drawn])] = drawn
         if sweep >= BURNT:
             sets[tuple(sorted(state))] += 1

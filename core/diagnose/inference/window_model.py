@@ -92,9 +92,12 @@ class WindowModel:
         self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
         self.has_cars = bool(np.bincount(kinds).max() > 1)
-        order = np.argsort(columns.day_of_ride, kind="stable")
-        self._rides_of_day = np.split(order, np.cumsum(np.bincount(columns.day_of_ride))[:-1])
+        order, count = np.argsort(columns.day_of_ride, kind="stable"), np.bincount(columns.day_of_ride)
+        alike = [np.flatnonzero(count == rides) for rides in np.unique(count)]  # products of many days at once
+        first = np.cumsum(count) - count
+        self._rides_of_days = [(days, order[first[days, np.newaxis] + np.arange(count[days[0]])]) for days in alike]
         self.has_dates = len(columns.cars) > 1 and len(columns.start) > LEAST_DATES * len(columns.dates)
+        self._place_columns()
         for _ in range(ROUNDS):
             self._solve()
             self._estimate_noise()
@@ -104,6 +107,7 @@ class WindowModel:
         """Return the model beside other known effects, with the same variances and spreads."""
         other = copy(self)
         other.known = known
+        other._place_columns()  # noqa: SLF001
         other._solve()  # noqa: SLF001
         return other
 
@@ -243,15 +247,14 @@ class WindowModel:
     def _integrate(self, log_spread: Floats, sums: _Sums) -> tuple[SweepStep, Integrated]:
         """Return the integration over the effects of rides and of vehicle-days."""
         rides = SweepStep.of(sums.rides[:, :, :S], sums.rides, np.exp(2.0 * log_spread[RIDES]))
-        days = sums.days.copy()
-        for day, own in enumerate(self._rides_of_day):
-            beside = rides.beside[own].reshape(-1, days.shape[1])
-            days[day] -= beside.T @ rides.gain[own].reshape(-1, days.shape[1])
+        days = np.empty_like(sums.days)
+        for of_days, own in self._rides_of_days:
+            beside, gain = (each[own].reshape(len(own), -1, days.shape[1]) for each in (rides.beside, rides.gain))
+            days[of_days] = sums.days[of_days] - np.swapaxes(beside, 1, 2) @ gain
         return rides, integrate_out(days, slice(0, S), np.exp(2.0 * log_spread[DAYS]))
 
     def _solve(self) -> None:
         """Compute the sums, and the coefficients at the current spreads."""
-        self._place_columns()
         self._sums = self._sum(self.columns.stack(self.known))
         self.of_rides, self.of_days = self._integrate(self.log_spread, self._sums)
         scale = self.scale
@@ -363,8 +366,8 @@ class WindowModel:
         by_days, by_variance = days.pass_back(by_sums)
         by_spread[DAYS] -= 2.0 * by_variance * np.exp(2.0 * log_spread[DAYS])
         times = np.empty_like(rides.beside)
-        for day, own in enumerate(self._rides_of_day):
-            times[own] = rides.beside[own] @ (-2.0 * by_days[day])
+        for of_days, own in self._rides_of_days:
+            times[own] = rides.beside[own] @ (-2.0 * by_days[of_days, np.newaxis])
         by_variance, by_own, by_beside = rides.pass_back(times, None, None)
         by_spread[RIDES] += by_variance * np.exp(2.0 * log_spread[RIDES])
         by_factor = float(np.vdot(by_days, sums.days)) + 0.5 * n
