@@ -16,6 +16,7 @@ Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 from math import log
 from typing import Final, NamedTuple
 
@@ -92,10 +93,9 @@ class WindowModel:
         self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
         self.has_cars = bool(np.bincount(kinds).max() > 1)
-        order, count = np.argsort(columns.day_of_ride, kind="stable"), np.bincount(columns.day_of_ride)
-        alike = [np.flatnonzero(count == rides) for rides in np.unique(count)]  # products of many days at once
-        first = np.cumsum(count) - count
-        self._rides_of_days = [(days, order[first[days, np.newaxis] + np.arange(count[days[0]])]) for days in alike]
+        self._by_day = np.argsort(columns.day_of_ride, kind="stable")
+        edges = np.r_[0, np.cumsum(np.bincount(columns.day_of_ride))].tolist()
+        self._rides_of_day = [slice(start, stop) for start, stop in pairwise(edges)]
         self.has_dates = len(columns.cars) > 1 and len(columns.start) > LEAST_DATES * len(columns.dates)
         self._place_columns()
         for _ in range(ROUNDS):
@@ -247,10 +247,11 @@ class WindowModel:
     def _integrate(self, log_spread: Floats, sums: _Sums) -> tuple[SweepStep, Integrated]:
         """Return the integration over the effects of rides and of vehicle-days."""
         rides = SweepStep.of(sums.rides[:, :, :S], sums.rides, np.exp(2.0 * log_spread[RIDES]))
+        beside, gain = (each[self._by_day].reshape(-1, sums.days.shape[1]) for each in (rides.beside, rides.gain))
         days = np.empty_like(sums.days)
-        for of_days, own in self._rides_of_days:
-            beside, gain = (each[own].reshape(len(own), -1, days.shape[1]) for each in (rides.beside, rides.gain))
-            days[of_days] = sums.days[of_days] - np.swapaxes(beside, 1, 2) @ gain
+        for day, own in enumerate(self._rides_of_day):
+            rows = slice(S * own.start, S * own.stop)
+            np.subtract(sums.days[day], beside[rows].T @ gain[rows], out=days[day])
         return rides, integrate_out(days, slice(0, S), np.exp(2.0 * log_spread[DAYS]))
 
     def _solve(self) -> None:
@@ -365,9 +366,10 @@ class WindowModel:
         by_sums = np.asarray(self._adding.T @ by_total.ravel()).reshape(days.sums.shape)
         by_days, by_variance = days.pass_back(by_sums)
         by_spread[DAYS] -= 2.0 * by_variance * np.exp(2.0 * log_spread[DAYS])
-        times = np.empty_like(rides.beside)
-        for of_days, own in self._rides_of_days:
-            times[own] = rides.beside[own] @ (-2.0 * by_days[of_days, np.newaxis])
+        beside, by_total = rides.beside[self._by_day], -2.0 * by_days
+        times = np.empty_like(beside)
+        for day, own in enumerate(self._rides_of_day):
+            times[self._by_day[own]] = beside[own] @ by_total[day]
         by_variance, by_own, by_beside = rides.pass_back(times, None, None)
         by_spread[RIDES] += by_variance * np.exp(2.0 * log_spread[RIDES])
         by_factor = float(np.vdot(by_days, sums.days)) + 0.5 * n
