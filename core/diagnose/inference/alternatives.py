@@ -145,7 +145,8 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     for row, (number, _, at, _, _) in enumerate(found):
         weights[row, families[number].days] = families[number].places[at].weight
     size_of = np.array([row[3] for row in found])
-    own, match = _Products(model.add(np.zeros((len(columns.residual), 0)))).multiply(effect_of, weights, size_of)
+    alone = _Products(model.add(np.zeros((len(columns.residual), 0)))) if model.known.size else sums
+    own, match = alone.multiply(effect_of, weights, size_of)
     return Alternatives(
         family=family_of,
         effect=effect_of,

@@ -14,6 +14,7 @@ References
 Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import pairwise
@@ -175,33 +176,24 @@ class WindowModel:
         _, of_days = self._integrate(self.log_spread, self._sum(self.columns.stack(self.known, more)))
         return of_days.sums
 
-    def multiply(self, further: Floats) -> tuple[Floats, Floats]:
-        """Return products of further columns with themselves, and with the coefficients and the energy.
-
-        Parameters
-        ----------
-        further : (n, m) float
-            Columns. [kWh]
-
-        Returns
-        -------
-        (m,), (F + 1, m) float
-            Products, without effects of rides and days.
-        """
+    def prepare_products(self) -> "FurtherProducts":
+        """Return what multiplies further columns with themselves, and with the coefficients and the energy."""
         columns = self.columns
         weight = (self.weight / self.variance)[:, np.newaxis]
-        left, loads = weight * further, weight * columns.shapes
-        of_days = self.of_days.inverse * self.of_days.variance
-        for unit, inner in ((columns.ride, self.of_rides.inner), (columns.day, of_days)):
-            own, beside = _place_loads(columns.shapes, unit), _place_loads(loads, unit)
-            expected = (inner @ (own @ left).reshape(-1, S, left.shape[1])).reshape(-1, left.shape[1])
-            after = (inner @ (own @ loads).reshape(-1, S, S)).reshape(-1, S)
-            left, loads = left - beside.T @ expected, loads - beside.T @ after
+        loads = weight * columns.shapes
+        levels = []
+        for unit, inner in (
+            (columns.ride, self.of_rides.inner),
+            (columns.day, self.of_days.inverse * self.of_days.variance),
+        ):
+            own, beside = _place_loads(columns.shapes, unit), _place_loads(loads, unit).T
+            levels.append((own, beside, inner))
+            loads = loads - beside @ (inner @ (own @ loads).reshape(-1, S, S)).reshape(-1, S)
         values = columns.stack(self.known)[:, self._source]
         starts = np.arange(0, values.size + 1, len(self._source))
         places = self._place[columns.day].ravel()
         system = csr_array((values.ravel(), places, starts), (len(values), self.size + 1))
-        return np.einsum("nm,nm->m", further, left), (system.T @ left) * self.scale[:, np.newaxis]
+        return FurtherProducts(weight, levels, system.T, self.scale[:, np.newaxis])
 
     @property
     def coordinates(self) -> tuple[Ints, Ints]:
@@ -375,6 +367,34 @@ class WindowModel:
         by_factor = float(np.vdot(by_days, sums.days)) + 0.5 * n
         by_factor -= 0.5 * float((by_own * rides.own).sum() + (by_beside * rides.beside).sum())
         return value, np.append(by_spread, by_factor)
+
+
+class FurtherProducts(NamedTuple):
+    """Hold what all products of further columns need: weights, loads of rides and days, and the other columns."""
+
+    weight: Floats
+    levels: Sequence[tuple[csc_array, csr_array, Floats]]
+    system: csc_array
+    scale: Floats
+
+    def multiply(self, further: Floats) -> tuple[Floats, Floats]:
+        """Return products of further columns with themselves, and with the coefficients and the energy.
+
+        Parameters
+        ----------
+        further : (n, m) float
+            Columns. [kWh]
+
+        Returns
+        -------
+        (m,), (F + 1, m) float
+            Products, without effects of rides and days.
+        """
+        left = self.weight * further
+        for own, beside, inner in self.levels:
+            expected = (inner @ (own @ left).reshape(-1, S, left.shape[1])).reshape(-1, left.shape[1])
+            left = left - beside @ expected
+        return np.einsum("nm,nm->m", further, left), (self.system @ left) * self.scale
 
 
 def _place_loads(loads: Floats, unit: Ints) -> csc_array:
