@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dposv
 
 from socast.core.batch import Floats, Ints
 from socast.core.condition.campaign import AFTER, BEFORE, LEAST_DAYS, OUT, States
@@ -115,7 +116,7 @@ def compute_wander(dates: Ints, found: Wandering) -> Floats:
 def fit_step(panel: DeviationPanel, row: int, state: States) -> StepFit:
     """Return the change of a car by generalised least squares."""
     used = np.isfinite(panel.value[row]) & (state != OUT)
-    wander = panel.wander[np.ix_(used, used)]
+    wander = panel.wander[used][:, used]
     estimator, variance = weigh_step(wander, panel.noise[row, used], state[used] == AFTER)
     level, size = (estimator @ panel.value[row, used]).tolist()
     weight = np.zeros(len(panel.dates))
@@ -126,8 +127,9 @@ def fit_step(panel: DeviationPanel, row: int, state: States) -> StepFit:
 def weigh_step(wander: Floats, noise: Floats, after: NDArray[np.bool_]) -> tuple[Floats, float]:
     """Return the weights of values in level and change (2, n), and the variance of the change."""
     design = np.column_stack((np.ones(len(after)), after))
-    factor = cho_factor(wander + np.diag(noise), lower=True, check_finite=False)
-    solved = cho_solve(factor, design, check_finite=False)
+    _, solved, failed = dposv(wander + np.diag(noise), design, lower=True)  # without the checks of `cho_factor`
+    if failed:
+        raise LinAlgError("the covariance of the days is not positive definite")
     inverse = np.linalg.inv(design.T @ solved)
     return inverse @ solved.T, float(inverse[1, 1])
 

@@ -32,7 +32,7 @@ from socast.core.diagnose.deviations import describe_deviations, list_credible, 
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.inference.alternatives import count_dates
+from socast.core.diagnose.inference.alternatives import add_dates, count_dates
 from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
@@ -272,7 +272,7 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
-        effective_dates=float(count_dates(np.abs(energy)[np.newaxis], seen.date)[0]),
+        effective_dates=float(count_dates(np.abs(energy)[np.newaxis], add_dates(seen.date))[0]),
         z=size.value / size.error,
         coefficient=coefficient,
         words=effect.in_words(size.value, size.ci95),

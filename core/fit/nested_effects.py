@@ -26,9 +26,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
+from scipy.sparse import csc_array
 
 from socast.core.batch import Floats, Ints
-from socast.core.stats.random_effects import Integrated, SweepStep, integrate_out, number_units, sum_units
+from socast.core.stats.random_effects import Integrated, SweepStep, integrate_out, link_units, number_units, sum_units
 
 SHARED: Final = 2
 """Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""
@@ -245,6 +246,8 @@ class LevelSums(NamedTuple):
         Number of rows of all rides.
     day, car : (rides,), (days,) int64
         As in `RideProducts`.
+    of_days, of_cars : csc_array
+        What links them with vehicle-days and cars.
     """
 
     own: Floats
@@ -253,6 +256,8 @@ class LevelSums(NamedTuple):
     rows: int
     day: Ints
     car: Ints
+    of_days: csc_array
+    of_cars: csc_array
 
     @staticmethod
     def of(products: RideProducts) -> "LevelSums":
@@ -265,6 +270,8 @@ class LevelSums(NamedTuple):
             int(products.rows.sum()),
             products.day,
             products.car,
+            link_units(products.day),
+            link_units(products.car),
         )
 
 
@@ -280,8 +287,8 @@ def differentiate_level_evidence(sums: LevelSums, prior: Gaussian, spreads: Leve
     of_rides, of_days, of_car = spreads.variances
     none_of_cars = np.zeros(len(of_car))
     rides = SweepStep.of(scale * sums.own, scale * sums.beside, np.append(of_rides, none_of_cars))
-    days = _step_up(rides, sums.day, np.append(of_days, none_of_cars))
-    cars = _step_up(days, sums.car, np.append(np.zeros(SHARED), of_car))
+    days = _step_up(rides, sums.of_days, np.append(of_days, none_of_cars))
+    cars = _step_up(days, sums.of_cars, np.append(np.zeros(SHARED), of_car))
     total = scale * sums.total - sum(step.taken for step in (rides, days, cars))
     posterior, evidence = _solve(prior, total)
     determinants = sum(step.log_determinant for step in (rides, days, cars))
@@ -291,14 +298,14 @@ def differentiate_level_evidence(sums: LevelSums, prior: Gaussian, spreads: Leve
     by_total[:-1, :-1] += posterior.covariance
     by_cars, by_own, by_beside = cars.pass_back(cars.beside @ by_total, None, None)
     by_days, by_own, by_beside = days.pass_back(days.beside @ by_total, by_own[sums.car], by_beside[sums.car])
-    by_rides, _, _ = rides.pass_back(rides.beside @ by_total, by_own[sums.day], by_beside[sums.day])
+    by_rides = rides.differentiate(rides.beside @ by_total, by_own[sums.day], by_beside[sums.day])
     by_variance = -0.5 * np.concatenate([by_rides[:SHARED], by_days[:SHARED], by_cars[SHARED:]])
     by_effects = 2.0 * np.square(spreads[1:]) * by_variance
     by_row = float(np.sum(by_total * total)) - float(by_effects.sum()) - sums.rows
     return evidence, LevelSpreads(by_row, *by_effects.tolist())
 
 
-def _step_up(step: SweepStep, parent: Ints, variance: Floats) -> SweepStep:
+def _step_up(step: SweepStep, parent: csc_array, variance: Floats) -> SweepStep:
     """Return the integration over the effects of the level above."""
     return SweepStep.of(sum_units(step.own_left, parent), sum_units(step.beside_left, parent), variance)
 

@@ -26,9 +26,10 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from socast.core.batch import Floats, Ints
-from socast.core.stats.random_effects import SweepStep, get_diagonals, number_units, sum_products, sum_units
+from socast.core.stats.random_effects import SweepStep, get_diagonals, link_units, number_units, sum_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
@@ -193,9 +194,9 @@ class MixedModel:
         for level, variance in zip(self._levels, relative, strict=True):
             step = SweepStep.of(own, beside, variance)
             steps.append(step)
-            if level.parent is not None:
+            if level.above is not None:
                 left = self._spread(step.beside_left, level.group) if level.spreads else step.beside_left
-                own, beside = sum_units(step.own_left, level.parent), sum_units(left, level.parent)
+                own, beside = sum_units(step.own_left, level.above), sum_units(left, level.above)
         return steps
 
     def _assemble(self, of_groups: Floats) -> Floats:
@@ -235,7 +236,10 @@ class MixedModel:
                 if level.spreads:
                     by_beside = self._gather(by_beside, level.group)
             times = self._multiply(step, level, by_total, padded)
-            gradient[i], by_own, by_beside = step.pass_back(times, by_own, by_beside)
+            if i == 0:
+                gradient[i] = step.differentiate(times, by_own, by_beside)
+            else:
+                gradient[i], by_own, by_beside = step.pass_back(times, by_own, by_beside)
         return gradient
 
     def _gather(self, by_beside: Floats, group: Ints) -> Floats:
@@ -259,6 +263,8 @@ class _Level(NamedTuple):
     ----------
     parent : (units,) int64 or None
         Unit of the level above.
+    above : csc_array or None
+        What links the units with them.
     group : (units,) int64
         Group of each unit; not used where units span groups.
     groups : list of slice
@@ -270,6 +276,7 @@ class _Level(NamedTuple):
     """
 
     parent: Ints | None
+    above: csc_array | None
     group: Ints
     groups: list[slice]
     is_global: bool
@@ -306,7 +313,8 @@ def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
         edges = np.searchsorted(group[first], np.arange(int(group.max()) + 2))
         spreads = not spans[i] and parent is not None and spans[i + 1]
         groups = [slice(start, stop) for start, stop in pairwise(edges.tolist())]
-        out.append(_Level(parent, group[first], groups, spans[i], spreads))
+        above = None if parent is None else link_units(parent)
+        out.append(_Level(parent, above, group[first], groups, spans[i], spreads))
     return out
 
 

@@ -95,12 +95,16 @@ def sum_products(columns: Floats, weight: Floats, unit: Ints) -> Floats:
     return sums
 
 
-def sum_units(sums: Floats, parent: Ints) -> Floats:
-    """Return the sums of the units of the level above, whose codes have no gap."""
+def link_units(parent: Ints) -> csc_array:
+    """Return the matrix of the units of the level above, whose codes have no gap, by their units."""
+    return csc_array((np.ones(len(parent)), parent, np.arange(len(parent) + 1)), (int(parent.max()) + 1, len(parent)))
+
+
+def sum_units(sums: Floats, parent: Ints | csc_array) -> Floats:
+    """Return the sums of the units of the level above, given their codes or, for many calls, what links them."""
     # a product with a sparse matrix takes a tenth of the time of `np.add.reduceat` along the first axis
-    shape = int(parent.max()) + 1, len(parent)
-    adding = csc_array((np.ones(len(parent)), parent, np.arange(len(parent) + 1)), shape=shape)
-    return np.asarray(adding @ sums.reshape(len(parent), -1)).reshape(-1, *sums.shape[1:])
+    adding = link_units(parent) if isinstance(parent, np.ndarray) else parent
+    return np.asarray(adding @ sums.reshape(len(sums), -1)).reshape(-1, *sums.shape[1:])
 
 
 def integrate_out(sums: Floats, at: slice | Ints, variance: Floats) -> Integrated:
@@ -167,8 +171,8 @@ class SweepStep(NamedTuple):
         C = I - A B, what is left of A and of N.
     gain : (units, s, k) float
         B N.
-    own_left, beside_left : (units, s, s), (units, s, k) float
-        C A and C N.
+    own_left : (units, s, s) float
+        C A.
     log_determinant : float
         Sum of log|I + Δ A|.
     """
@@ -179,7 +183,6 @@ class SweepStep(NamedTuple):
     kept: Floats
     gain: Floats
     own_left: Floats
-    beside_left: Floats
     log_determinant: float
 
     @staticmethod
@@ -188,13 +191,22 @@ class SweepStep(NamedTuple):
         inverse, logarithm = _invert(own, variance)
         kept, inner = np.swapaxes(inverse, 1, 2), inverse * variance
         inner = (inner + np.swapaxes(inner, 1, 2)) / 2.0
-        return SweepStep(own, beside, inner, kept, inner @ beside, kept @ own, kept @ beside, float(logarithm.sum()))
+        return SweepStep(own, beside, inner, kept, inner @ beside, kept @ own, float(logarithm.sum()))
+
+    @property
+    def beside_left(self) -> Floats:
+        """C N, (units, s, k)."""
+        return self.kept @ self.beside
 
     @property
     def taken(self) -> Floats:
         """What the effects take away from the sums of the coefficients and the energy: N'BN over all units, (k, k)."""
         wide = self.beside.shape[2]
         return np.asarray(self.beside.reshape(-1, wide).T @ self.gain.reshape(-1, wide))
+
+    def differentiate(self, times: Floats, by_own: Floats | None, by_beside: Floats | None) -> Floats:
+        """Return the derivatives by δ, (s,), see `pass_back`."""
+        return self._differentiate(times @ np.swapaxes(self.beside, 1, 2), by_own, by_beside)
 
     def pass_back(
         self, times: Floats, by_own: Floats | None, by_beside: Floats | None
@@ -206,17 +218,22 @@ class SweepStep(NamedTuple):
         """
         kept, turned = self.kept, np.swapaxes(self.kept, 1, 2)
         squares = times @ np.swapaxes(self.beside, 1, 2)  # N G N'
-        by_delta = get_diagonals(self.own_left) - get_diagonals(kept @ squares @ turned)
         to_own = self.inner + self.inner @ squares @ self.inner
         to_beside = -2.0 * self.inner @ times
+        if by_own is not None and by_beside is not None:
+            pulled = turned @ (by_beside @ np.swapaxes(self.gain, 1, 2))  # C' N̄ (B N)'
+            to_own = to_own + turned @ by_own @ kept - (pulled + np.swapaxes(pulled, 1, 2)) / 2.0
+            to_beside = to_beside + turned @ by_beside
+        return self._differentiate(squares, by_own, by_beside), to_own, to_beside
+
+    def _differentiate(self, squares: Floats, by_own: Floats | None, by_beside: Floats | None) -> Floats:
+        kept, turned = self.kept, np.swapaxes(self.kept, 1, 2)
+        by_delta = get_diagonals(self.own_left) - get_diagonals(kept @ squares @ turned)
         if by_own is not None and by_beside is not None:
             crossed = kept @ (self.beside @ np.swapaxes(by_beside, 1, 2))  # C N N̄'
             by_delta = by_delta - get_diagonals(crossed @ np.swapaxes(self.own_left, 1, 2))
             by_delta = by_delta - get_diagonals(self.own_left @ by_own @ np.swapaxes(self.own_left, 1, 2))
-            pulled = turned @ (by_beside @ np.swapaxes(self.gain, 1, 2))  # C' N̄ (B N)'
-            to_own = to_own + turned @ by_own @ kept - (pulled + np.swapaxes(pulled, 1, 2)) / 2.0
-            to_beside = to_beside + turned @ by_beside
-        return np.asarray(by_delta.sum(axis=0)), to_own, to_beside
+        return np.asarray(by_delta.sum(axis=0))
 
 
 def get_diagonals(matrices: Floats) -> Floats:

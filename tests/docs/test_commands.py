@@ -1,4 +1,4 @@
-"""The commands of the pages run and print what the pages show; the tutorial finds the hidden effect."""
+"""The commands of the pages and the notebook run and show what the pages do; the tutorial finds the hidden effect."""
 
 import json
 import re
@@ -29,6 +29,8 @@ COMMANDS = {
 }
 """Page -> its commands in order; the tutorial comes first, and other pages use its files."""
 TUTORIAL_NAME = name_of(TUTORIAL)
+NOTEBOOK = ROOT / "docs" / "guide" / "notebook.md"
+"""The steps of the tutorial in Python; its test shares the results of the commands."""
 TRUTH = json.loads((ROOT / "recordings" / "autumn.truth.json").read_text(encoding="utf-8"))
 AIR_DENSITY = 1.28
 """Mean density of air at 2 °C at sea level in the autumn of the recording. [kg/m^3]"""
@@ -109,6 +111,21 @@ def test_diagnosis_names_the_hidden_effect_first_and_its_interval_contains_the_t
     assert trial["coefficient"]["plausible"]
     assert trial["noise_floor_kwh"] < trial["mae_after_kwh"] < trial["mae_before_kwh"]
     assert trial["final"]["mae_after_kwh"] < trial["final"]["mae_before_kwh"]
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_notebook_runs_and_the_error_falls(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    cells = re.findall(
+        r"^```{code-cell} python\n(?::tags:[^\n]*\n)?(.*?)^```$", read(NOTEBOOK), re.MULTILINE | re.DOTALL
+    )
+    names: dict[str, object] = {}
+    for cell in cells:
+        exec(compile(cell, str(NOTEBOOK), "exec"), names)
+    rides, added, base = names["rides"], names["added"], names["base"]
+    assert added.accepted
+    before, after = ((model.predict(rides) - rides["energy_kwh"]).abs().mean() for model in (base, added.model))
+    assert after < 0.8 * before
 
 
 @pytest.mark.usefixtures("tutorial")

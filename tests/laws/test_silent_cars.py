@@ -11,6 +11,7 @@ from socast.core.settings import Limits
 from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, learned, merged, shift
 from tests.support.telemetry import chunked, leaf, make_message
 
+pytestmark = pytest.mark.long
 LIMITS = Limits(silent_days=2.0)
 GONE = "b"
 """Car that is silent from day 5 on."""

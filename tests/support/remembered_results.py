@@ -8,10 +8,12 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from msgspec.structs import replace
 
 from socast.core import effects
-from socast.core.diagnose.add import add
+from socast.core.diagnose.add import add, refit
 from socast.core.diagnose.add.holdout import select_final_days
+from socast.core.diagnose.records import Diagnosis
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import LinearModel, encode_model
 from tests.support import own_car_figure, picture_figure
@@ -21,15 +23,25 @@ from tests.support import own_car_figure, picture_figure
 def diagnosing_once() -> Iterator[None]:
     """Diagnose the same tables and model once, and try to add an effect to them once, in this process.
 
-    A diagnosis is reproducible: `tests/core/diagnose` tests it.
+    Trials of several effects share the fits without them. A diagnosis is reproducible: `tests/core/diagnose` tests it.
     """
-    from socast.core.diagnose import diagnosis  # noqa: PLC0415 - it takes a second to import
+    from socast import diagnosis as public  # noqa: PLC0415 - it takes a second to import
+    from socast.core.diagnose import diagnosis  # noqa: PLC0415
 
-    diagnose, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
+    diagnose_once, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
+
+    def diagnose(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, **options: Any) -> Diagnosis:
+        """Diagnose models that differ by name alone once; of the name, a result has nothing but itself."""
+        found = diagnose_once(rides, windows, replace(model, name=""), **options)
+        return replace(found, model=replace(found.model, name=model.name))
+
     with pytest.MonkeyPatch.context() as patch:
         for module in (diagnosis, picture_figure, own_car_figure):
             patch.setattr(module, "diagnose", diagnose)
         patch.setattr(add, "add_effect", add_effect)
+        patch.setattr(public, "_diagnose", diagnose)
+        patch.setattr(public, "_add", add_effect)
+        patch.setattr(refit, "fit_rows", _remember(refit.fit_rows))
         yield
 
 
@@ -42,7 +54,7 @@ def _remember(function: Callable[..., Any]) -> Callable[..., Any]:
         given = of_function.bind(*args, **kwargs)
         given.apply_defaults()
         values = dict(given.arguments)
-        del values["report"]
+        values.pop("report", None)
         if "leave_out" in values:
             dates = get_names(values["rides"], "date")
             left_out = values["leave_out"]

@@ -16,6 +16,7 @@ from tests.support.paths import RECORDINGS
 ROUTER = "router", "--listen", "tcp/127.0.0.1:0"
 LIVE = "live", "--listen", "tcp/127.0.0.1:0", "--state", "state", "--record", "recordings"
 SERVE = "serve", RECORDINGS / "shift.mcap", "--no-browser", "--read-only", "--port", 0
+pytestmark = pytest.mark.long
 REPLAY = "replay", RECORDINGS / "shift.mcap", "--speed", 600
 ASKING = signal.SIGTERM, signal.SIGINT
 LONGEST_S = 30.0

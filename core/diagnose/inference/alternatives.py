@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
@@ -115,14 +115,13 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     for number, family in enumerate(families):
         weight = np.array([place.weight for place in family.places])
         amount = (weight > 0.0).astype(np.float64) @ measured[family.days]
+        adding = add_dates(columns.date_of_day[family.days])
         of_family: list[tuple[float, int, int, float]] = []
         for effect in family.effects:
             size = family.size * columns.find_largest(effect)
             able = 2.0 * size * (weight @ energy[family.days, effect]) >= LEAST_SHARE * amount
             if family.is_scoped:
-                able &= (
-                    count_dates(weight * energy[family.days, effect], columns.date_of_day[family.days]) >= LEAST_DATES
-                )
+                able &= count_dates(weight * energy[family.days, effect], adding) >= LEAST_DATES
             own, match, left = sums.project(effect, family.days, weight, size, free)
             good = able & (left > LEAST_LEFT)
             if (left > LEAST_LEFT).any() and not family.is_scoped:
@@ -146,7 +145,8 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     for row, (number, _, at, _, _) in enumerate(found):
         weights[row, families[number].days] = families[number].places[at].weight
     size_of = np.array([row[3] for row in found])
-    own, match = _Products(model.add(np.zeros((len(columns.residual), 0)))).multiply(effect_of, weights, size_of)
+    alone = _Products(model.add(np.zeros((len(columns.residual), 0)))) if model.known.size else sums
+    own, match = alone.multiply(effect_of, weights, size_of)
     return Alternatives(
         family=family_of,
         effect=effect_of,
@@ -161,9 +161,14 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     )
 
 
-def count_dates(energy: Floats, date: Ints) -> Floats:
+def add_dates(date: Ints) -> csc_array:
+    """Return the matrix that adds up the energies of days to those of dates."""
+    return csc_array((np.ones(len(date)), date, np.arange(len(date) + 1)))
+
+
+def count_dates(energy: Floats, adding: csc_array) -> Floats:
     """Return the effective number of dates of each row, the squared sum over the sum of squares; (k, d) to (k,)."""
-    of_date = energy @ csr_array((np.ones(len(date)), date, np.arange(len(date) + 1)))
+    of_date = (adding @ energy.T).T
     return np.asarray(of_date.sum(axis=1) ** 2 / np.maximum((of_date**2).sum(axis=1), 1e-300))
 
 
@@ -193,10 +198,9 @@ class _Products:
     def get_beside(self, effect: int) -> Floats:
         """Return the products of an effect with the coefficients and the energy on each vehicle-day, (d, F + 1)."""
         if effect not in self._beside:
-            days, width = self.place.shape
+            days = len(self.place)
             out = np.zeros((days, self.model.size + 1))
-            rows = np.repeat(np.arange(days), width)
-            np.add.at(out, (rows, self.place.ravel()), self.sums[:, self.source, self.first + effect].ravel())
+            out[np.arange(days)[:, np.newaxis], self.place] = self.sums[:, self.source, self.first + effect]
             self._beside[effect] = out * self.model.scale
         return self._beside[effect]
 

@@ -22,7 +22,7 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm, Modulator, list_modulators
-from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
+from socast.core.diagnose.inference.alternatives import LEAST_LEFT, add_dates, count_dates, factorise_free, weigh_alone
 from socast.core.diagnose.inference.loads import find_load
 from socast.core.diagnose.inference.window_columns import UnknownForm
 from socast.core.diagnose.inference.window_model import WindowModel
@@ -119,14 +119,14 @@ class FormSearch:
         inside : collection of str
             Effects that the model has in all cars, so that they are not missing; other forms of them may be.
         """
-        columns = model.columns
-        found = [self._score_longer(model, FormTerm(carrier)) for carrier in CARRIERS]
+        columns, evidence = model.columns, _Evidence(model)
+        found = [self._score_longer(evidence, FormTerm(carrier)) for carrier in CARRIERS]
         for variables, extended in enumerate(EXTENDED, 1):
             heads: dict[tuple[str, frozenset[str]], FormTerm] = {}
             for form in _rank(found):
                 if len(form.term.modulators) == variables and len(heads) < extended:
                     heads.setdefault((form.term.carrier.name, form.term.variables), form.term)
-            found += [self._score_longer(model, head) for head in heads.values()]
+            found += [self._score_longer(evidence, head) for head in heads.values()]
         known = {format_formula(form.term) for form in columns.unknown}
         alike: Counter[tuple[str, frozenset[str]]] = Counter()
         chosen = []
@@ -159,7 +159,7 @@ class FormSearch:
         """Return the place of the variable of a modulator, so that equal forms have equal formulas."""
         return list(self._modulators).index(modulator.variable.name)
 
-    def _score_longer(self, model: WindowModel, head: FormTerm) -> _Scores:
+    def _score_longer(self, evidence: "_Evidence", head: FormTerm) -> _Scores:
         """Return a form without variables and those with one variable more, or only these if it has a variable."""
         longer = [
             FormTerm(head.carrier, tuple(sorted((*head.modulators, each), key=self._find_place)))
@@ -176,30 +176,48 @@ class FormSearch:
             UnknownForm(term, one, self._log_share[len(term.modulators)])
             for term, one in zip(terms, size.tolist(), strict=True)
         ]
-        odds = _compute_evidence(model, energy * size) + np.array([form.log_share for form in forms])
-        dates = count_dates(np.abs(energy).T, model.columns.date_of_day[model.columns.day])
-        return _Scores(forms, np.where(dates < LEAST_DATES, -np.inf, odds))
+        odds = evidence.compute(energy, size) + np.array([form.log_share for form in forms])
+        return _Scores(forms, np.where(evidence.count_dates(energy) < LEAST_DATES, -np.inf, odds))
 
 
-def _compute_evidence(model: WindowModel, energy: Floats) -> Floats:
-    """Return the log evidence of each form alone; minus infinity where a free base could explain it.
-
-    Units: energy [kWh].
+class _Evidence:
+    """Compute the evidence of forms beside what a model knows.
 
     Notes
     -----
     With I + XᵀX/σ² = L Lᵀ of the columns X of the model, a form x off the model has the squared length
     xᵀx/σ² - |L⁻¹Xᵀx/σ²|². Its product with the energy follows in the same way.
     """
-    size = model.size
-    raw, beside = model.multiply(energy)
-    lower = np.linalg.cholesky(np.eye(size) + model.total[:size, :size])
-    along = solve_triangular(lower, beside[:-1], lower=True)
-    match = beside[-1] - along.T @ solve_triangular(lower, model.total[:size, size], lower=True)
-    own = np.maximum(raw - (along**2).sum(axis=0), 0.0)
-    loose = solve_triangular(factorise_free(model), beside[:-1], lower=True)
-    left = raw - (loose**2).sum(axis=0)
-    return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, (-inf, inf)), -np.inf)
+
+    def __init__(self, model: WindowModel) -> None:
+        size = model.size
+        self._products = model.prepare_products()
+        self._lower = np.linalg.cholesky(np.eye(size) + model.total[:size, :size])
+        self._energy = solve_triangular(self._lower, model.total[:size, size], lower=True)
+        self._free = factorise_free(model)
+        self._adding = add_dates(model.columns.date_of_day[model.columns.day])
+
+    def compute(self, energy: Floats, size: Floats) -> Floats:
+        """Return the log evidence of each form alone; minus infinity where a free base could explain it.
+
+        Parameters
+        ----------
+        energy : (n, m) float
+            Energies of the forms. [kWh]
+        size : (m,) float
+            Standard deviation of the coefficient of each beforehand.
+        """
+        raw, beside = self._products.multiply(energy * size)
+        along = solve_triangular(self._lower, beside[:-1], lower=True)
+        match = beside[-1] - along.T @ self._energy
+        own = np.maximum(raw - (along**2).sum(axis=0), 0.0)
+        loose = solve_triangular(self._free, beside[:-1], lower=True)
+        left = raw - (loose**2).sum(axis=0)
+        return np.where(left > LEAST_LEFT * raw, weigh_alone(own, match, (-inf, inf)), -np.inf)
+
+    def count_dates(self, energy: Floats) -> Floats:
+        """Return the effective number of dates of each form."""
+        return count_dates(np.abs(energy).T, self._adding)
 
 
 def _rank(found: Sequence[_Scores]) -> list[UnknownForm]:

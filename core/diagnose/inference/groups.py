@@ -40,7 +40,9 @@ def list_groups(seen: Windows, columns: WindowColumns, of_vehicle: Mapping[str, 
     if DRIVER in seen.rides:
         days = columns.day_of_ride
         drivers = pd.DataFrame({"day": days, "driver": seen.rides[DRIVER].to_numpy(dtype=object)}).dropna()
-        known = drivers.groupby("day")["driver"].agg(lambda names: names.mode().iloc[0]).to_dict()
+        rides = drivers.groupby(["day", "driver"], as_index=False).size()
+        most = rides.sort_values("size", ascending=False, kind="stable").drop_duplicates("day")
+        known = dict(zip(most["day"], most["driver"], strict=True))
         ways.append(_make_groups("driver", [str(known.get(day, "")) for day in range(len(columns.start))], columns))
     return [group for way in ways if len(way) > 1 for group in way]
 

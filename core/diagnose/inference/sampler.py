@@ -26,7 +26,7 @@ SWEEPS: Final = 120
 BURNT: Final = 20
 """Number of sweeps at the beginning that do not count."""
 MOST_KEPT: Final = 1024
-"""Largest number of sets whose odds are kept, as most sets come again."""
+"""Largest number of sets whose odds are kept."""
 
 
 def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floats:
@@ -98,40 +98,54 @@ class _Odds:
         return _accumulate(normalise(self.odds[self.open_rows]))
 
 
+class _KnownOdds:
+    """Compute the odds beside each set once, because most sets come again.
+
+    Parameters
+    ----------
+    rows : dict of int to (m,) int64
+        Family -> its alternatives.
+    """
+
+    def __init__(self, given: Alternatives, rows: dict[int, Ints]) -> None:
+        self.given, self.rows = given, rows
+        self._kept: dict[tuple[int, ...], _Odds] = {}
+
+    def weigh(self, state: dict[int, int]) -> _Odds:
+        """Return the odds of each alternative beside what is true, family -> its alternative."""
+        true = tuple([state[family] for family in sorted(state)])
+        if true not in self._kept:
+            if len(self._kept) >= MOST_KEPT:
+                self._kept.clear()
+            odds = weigh_further(self.given, list(true), np.arange(len(self.given.family))) + self.given.log_odds
+            rows = np.concatenate([at for family, at in self.rows.items() if family not in state])
+            self._kept[true] = _Odds(odds, rows)
+        return self._kept[true]
+
+
 def sample_alternatives(given: Alternatives, seed: int = 0) -> Sample:
     """Return the probability of each alternative, and the set that is most often true together."""
     rng = np.random.default_rng(seed)
     rows = {family: np.flatnonzero(given.family == family) for family in sorted(set(given.family.tolist()))}
-    families, every = np.array(list(rows)), np.arange(len(given.family))
-    state: dict[int, int] = {}
+    families, state = np.array(list(rows)), dict[int, int]()
     total = np.zeros(len(given.family))
     sets: Counter[tuple[int, ...]] = Counter()
-    kept: dict[tuple[int, ...], _Odds] = {}
-
-    def weigh(without: int) -> _Odds:
-        """Return the odds of each alternative beside what is true in other families than one."""
-        true = [family for family in sorted(state) if family != without]
-        others = tuple([state[family] for family in true])
-        if others not in kept:
-            if len(kept) >= MOST_KEPT:
-                kept.clear()
-            odds = weigh_further(given, list(others), every) + given.log_odds
-            kept[others] = _Odds(odds, np.concatenate([rows[each] for each in rows if each not in true]))
-        return kept[others]
-
+    known = _KnownOdds(given, rows)
     for sweep in range(SWEEPS):
+        beside: _Odds | None = None
         for family in rng.permutation(families).tolist():
-            chances, cumulative = weigh(family).of_family(family, rows[family])
+            if state.pop(family, None) is not None or beside is None:
+                beside = known.weigh(state)
+            chances, cumulative = beside.of_family(family, rows[family])
             drawn = int(cumulative.searchsorted(rng.random(), side="right"))
-            state.pop(family, None)
             if drawn < len(chances):
-                state[family] = int(rows[family][drawn])
+                state[family], beside = int(rows[family][drawn]), None
             if sweep >= BURNT:
                 total[rows[family]] += chances
         for family in sorted(state):  # one moves to any free family
-            beside = weigh(family)
-            drawn = int(beside.open_rows[beside.of_open.searchsorted(rng.random(), side="right")])
             del state[family]
+            beside = known.weigh(state)
+            drawn = int(beside.open_rows[beside.of_open.searchsorted(rng.random(), side="right")])
             state[int(given.family[drawn])] = drawn
         if sweep >= BURNT:
             sets[tuple(sorted(state))] += 1

@@ -14,8 +14,10 @@ References
 Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 from math import log
 from typing import Final, NamedTuple
 
@@ -92,9 +94,11 @@ class WindowModel:
         self.weight = counted.astype(np.float64)
         kinds = [columns.kind_of_day[columns.car_of_day == car][0] for car in range(len(columns.cars))]
         self.has_cars = bool(np.bincount(kinds).max() > 1)
-        order = np.argsort(columns.day_of_ride, kind="stable")
-        self._rides_of_day = np.split(order, np.cumsum(np.bincount(columns.day_of_ride))[:-1])
+        self._by_day = np.argsort(columns.day_of_ride, kind="stable")
+        edges = np.r_[0, np.cumsum(np.bincount(columns.day_of_ride))].tolist()
+        self._rides_of_day = [slice(start, stop) for start, stop in pairwise(edges)]
         self.has_dates = len(columns.cars) > 1 and len(columns.start) > LEAST_DATES * len(columns.dates)
+        self._place_columns()
         for _ in range(ROUNDS):
             self._solve()
             self._estimate_noise()
@@ -104,6 +108,7 @@ class WindowModel:
         """Return the model beside other known effects, with the same variances and spreads."""
         other = copy(self)
         other.known = known
+        other._place_columns()  # noqa: SLF001
         other._solve()  # noqa: SLF001
         return other
 
@@ -171,33 +176,24 @@ class WindowModel:
         _, of_days = self._integrate(self.log_spread, self._sum(self.columns.stack(self.known, more)))
         return of_days.sums
 
-    def multiply(self, further: Floats) -> tuple[Floats, Floats]:
-        """Return products of further columns with themselves, and with the coefficients and the energy.
-
-        Parameters
-        ----------
-        further : (n, m) float
-            Columns. [kWh]
-
-        Returns
-        -------
-        (m,), (F + 1, m) float
-            Products, without effects of rides and days.
-        """
+    def prepare_products(self) -> "FurtherProducts":
+        """Return what multiplies further columns with themselves, and with the coefficients and the energy."""
         columns = self.columns
         weight = (self.weight / self.variance)[:, np.newaxis]
-        left, loads = weight * further, weight * columns.shapes
-        of_days = self.of_days.inverse * self.of_days.variance
-        for unit, inner in ((columns.ride, self.of_rides.inner), (columns.day, of_days)):
-            own, beside = _place_loads(columns.shapes, unit), _place_loads(loads, unit)
-            expected = (inner @ (own @ left).reshape(-1, S, left.shape[1])).reshape(-1, left.shape[1])
-            after = (inner @ (own @ loads).reshape(-1, S, S)).reshape(-1, S)
-            left, loads = left - beside.T @ expected, loads - beside.T @ after
+        loads = weight * columns.shapes
+        levels = []
+        for unit, inner in (
+            (columns.ride, self.of_rides.inner),
+            (columns.day, self.of_days.inverse * self.of_days.variance),
+        ):
+            own, beside = _place_loads(columns.shapes, unit), _place_loads(loads, unit).T
+            levels.append((own, beside, inner))
+            loads = loads - beside @ (inner @ (own @ loads).reshape(-1, S, S)).reshape(-1, S)
         values = columns.stack(self.known)[:, self._source]
         starts = np.arange(0, values.size + 1, len(self._source))
         places = self._place[columns.day].ravel()
         system = csr_array((values.ravel(), places, starts), (len(values), self.size + 1))
-        return np.einsum("nm,nm->m", further, left), (system.T @ left) * self.scale[:, np.newaxis]
+        return FurtherProducts(weight, levels, system.T, self.scale[:, np.newaxis])
 
     @property
     def coordinates(self) -> tuple[Ints, Ints]:
@@ -243,15 +239,15 @@ class WindowModel:
     def _integrate(self, log_spread: Floats, sums: _Sums) -> tuple[SweepStep, Integrated]:
         """Return the integration over the effects of rides and of vehicle-days."""
         rides = SweepStep.of(sums.rides[:, :, :S], sums.rides, np.exp(2.0 * log_spread[RIDES]))
-        days = sums.days.copy()
+        beside, gain = (each[self._by_day].reshape(-1, sums.days.shape[1]) for each in (rides.beside, rides.gain))
+        days = np.empty_like(sums.days)
         for day, own in enumerate(self._rides_of_day):
-            beside = rides.beside[own].reshape(-1, days.shape[1])
-            days[day] -= beside.T @ rides.gain[own].reshape(-1, days.shape[1])
+            rows = slice(S * own.start, S * own.stop)
+            np.subtract(sums.days[day], beside[rows].T @ gain[rows], out=days[day])
         return rides, integrate_out(days, slice(0, S), np.exp(2.0 * log_spread[DAYS]))
 
     def _solve(self) -> None:
         """Compute the sums, and the coefficients at the current spreads."""
-        self._place_columns()
         self._sums = self._sum(self.columns.stack(self.known))
         self.of_rides, self.of_days = self._integrate(self.log_spread, self._sums)
         scale = self.scale
@@ -362,14 +358,43 @@ class WindowModel:
         by_sums = np.asarray(self._adding.T @ by_total.ravel()).reshape(days.sums.shape)
         by_days, by_variance = days.pass_back(by_sums)
         by_spread[DAYS] -= 2.0 * by_variance * np.exp(2.0 * log_spread[DAYS])
-        times = np.empty_like(rides.beside)
+        beside, by_total = rides.beside[self._by_day], -2.0 * by_days
+        times = np.empty_like(beside)
         for day, own in enumerate(self._rides_of_day):
-            times[own] = rides.beside[own] @ (-2.0 * by_days[day])
+            times[self._by_day[own]] = beside[own] @ by_total[day]
         by_variance, by_own, by_beside = rides.pass_back(times, None, None)
         by_spread[RIDES] += by_variance * np.exp(2.0 * log_spread[RIDES])
         by_factor = float(np.vdot(by_days, sums.days)) + 0.5 * n
         by_factor -= 0.5 * float((by_own * rides.own).sum() + (by_beside * rides.beside).sum())
         return value, np.append(by_spread, by_factor)
+
+
+class FurtherProducts(NamedTuple):
+    """Hold what all products of further columns need: weights, loads of rides and days, and the other columns."""
+
+    weight: Floats
+    levels: Sequence[tuple[csc_array, csr_array, Floats]]
+    system: csc_array
+    scale: Floats
+
+    def multiply(self, further: Floats) -> tuple[Floats, Floats]:
+        """Return products of further columns with themselves, and with the coefficients and the energy.
+
+        Parameters
+        ----------
+        further : (n, m) float
+            Columns. [kWh]
+
+        Returns
+        -------
+        (m,), (F + 1, m) float
+            Products, without effects of rides and days.
+        """
+        left = self.weight * further
+        for own, beside, inner in self.levels:
+            expected = (inner @ (own @ left).reshape(-1, S, left.shape[1])).reshape(-1, left.shape[1])
+            left = left - beside @ expected
+        return np.einsum("nm,nm->m", further, left), (self.system @ left) * self.scale
 
 
 def _place_loads(loads: Floats, unit: Ints) -> csc_array:

@@ -271,7 +271,7 @@ CASES = {
     conformal_quantiles: ["compute_counted_quantiles", "find_conformal_ranks"],
     conformal_quantiles_that_cover: ["compute_conformal_quantiles"],
     variance_between: ["estimate_variance_between"],
-    integration: ["integrate_out", "number_units", "get_diagonals", "sum_products", "sum_units"],
+    integration: ["integrate_out", "number_units", "get_diagonals", "link_units", "sum_products", "sum_units"],
     errors_of_predictions: [
         *(f"compute_{name}" for name in ("mae", "rmse", "bias", "wmape", "mape", "relative_errors")),
     ],

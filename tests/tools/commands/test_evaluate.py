@@ -15,6 +15,7 @@ from socast.tools.terminal.table_files import read
 from tests.support import planted_rides
 from tests.support.segment_windows import segment_windows
 
+pytestmark = pytest.mark.long
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 
 

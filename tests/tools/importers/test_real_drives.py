@@ -24,7 +24,10 @@ from socast.tools.importers.drive import LONGEST_HOLD, Drive, make_messages
 from tests.support.paths import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}"),
+]
 
 PERIOD = 3.0
 AUTOBAHN = Settings(speed_limit=180 * KMH)

@@ -11,6 +11,8 @@ from socast.tools.terminal import night_watch
 from socast.tools.terminal.night_watch import name_condition_files, read_condition, write_condition
 from tests.support.commands import called, refused
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def rides(autumn_tables):

@@ -114,7 +114,7 @@ def test_products_of_columns_are_those_of_the_sums_of_days(rng):
     inner = WindowModel(gather_window_columns(windows, model))
     further = rng.normal(size=(len(windows.measured), 3))
     sums = inner.sum_days(further)
-    raw, beside = inner.multiply(further)
+    raw, beside = inner.prepare_products().multiply(further)
     last = sums.shape[1] - 1
     np.testing.assert_allclose(raw, [sums[:, at, at].sum() for at in range(last - 3, last)])
     np.testing.assert_allclose(beside[-1], sums[:, last - 3 : last, last].sum(axis=0))

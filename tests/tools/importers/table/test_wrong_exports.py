@@ -10,6 +10,7 @@ import pytest
 from tests.support import own_tables
 from tests.support.commands import called
 
+pytestmark = pytest.mark.long
 EXPORTS = {
     "teslamate": own_tables.teslamate,
     "leafspy": own_tables.leafspy,
