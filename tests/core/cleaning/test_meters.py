@@ -155,3 +155,25 @@ def test_charge_is_stale_by_more_than_the_steps_of_a_fine_display(fall, expected
     result = clean(columns)
     assert count(result, Quality.SOC_STALE) == expected
     assert result.stale_fall.sum() == pytest.approx(0.01 * fall * expected, abs=0.002)
+
+
+def test_charge_that_is_not_reported_is_held_through_a_short_silence_only():
+    columns = without(drive(N, speed=0.0, soc_pct=73.0), "ride_id")  # one idle period, which goes on over the silence
+    columns["soc_pct"][200:] = np.nan
+    for pause, is_held in ((60.0, True), (900.0, False), (39_000.0, False)):
+        later = {name: values.copy() for name, values in columns.items()}
+        later["time_s"][200:] += pause
+        later["seq"][200:] += int(pause / PERIOD)
+        soc = clean(later).soc
+        assert np.isfinite(soc[:200]).all()
+        assert np.isfinite(soc[200:]).all() == is_held == np.isfinite(soc[200:]).any()
+
+
+def test_charge_that_is_not_reported_while_the_car_charges_is_unknown_until_the_next_report():
+    columns = without(drive(N, speed=0.0, soc_pct=73.0), "ride_id")
+    columns["charging"] = np.zeros(N, bool)
+    columns["charging"][150:250] = True
+    columns["soc_pct"][150:300] = np.nan
+    unknown = np.flatnonzero(np.isnan(clean(columns).soc))
+    assert unknown.tolist() == list(range(unknown[0], 300))
+    assert unknown[0] == pytest.approx(150 + 60.0 / PERIOD, abs=2)

@@ -70,9 +70,20 @@ def test_jump_of_the_temperature_does_not_count():
     assert expected(cycle, 10.0, 2.0) == KELVIN
 
 
+def test_observations_that_come_at_once_count_like_a_sensor():
+    """A car without a sensor has the temperature of the last hourly observation, in steps of up to 3 K."""
+    cycle = DailyCycle()
+    for day in range(60):
+        time = SECONDS_PER_DAY * day + np.arange(0.0, SECONDS_PER_DAY, 600.0)
+        cycle.add_shift(time, 3.0 * wave(3600.0 * np.floor(time / 3600.0)))
+        cycle.apply_daily_update()
+    change = 3.0 * (np.mean(wave(3600.0 * np.linspace(8.0, 14.0, 500))) - wave(3600.0 * 8.0))
+    assert expected(cycle, 8.0, 6.0) - KELVIN == pytest.approx(change, rel=0.1)
+
+
 def test_loaded_state_continues_as_uninterrupted():
     one, other = learned(4), DailyCycle()
-    time = 4.5 * SECONDS_PER_DAY + np.arange(0.0, 7200.0, 600.0)
+    time = 4.5 * SECONDS_PER_DAY + np.arange(0.0, 10_800.0, 600.0)
     one.add_shift(time, wave(time))
     other.load(one.dump())
     for each in (one, other):
