@@ -1,11 +1,18 @@
-"""Named arrays of sums, which a daily update takes and begins anew."""
+"""Named arrays of sums, which a daily update takes and begins anew, and a Bayesian regression that learns from them.
 
-from typing import Any
+References
+----------
+Gelman et al., Bayesian Data Analysis, 3rd edition, sections 14.2 and 14.8, ISBN 978-1-4398-4095-5.
+"""
+
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from socast.core.batch import Floats
+
+_ROUNDS: Final = 5  # between coefficients and variance
 
 
 class DaySums:
@@ -44,26 +51,61 @@ class DaySums:
             self._parts[name], values = values[: part.size].reshape(part.shape).copy(), values[part.size :]
 
 
-class DailyLearner:
-    """Learn from sums that lose weight day by day.
+class NoisePrior(NamedTuple):
+    """Hold the variance of the noise before any data, and the number of observations whose weight it has."""
+
+    variance: float
+    weight: float
+
+
+class DailyRegression:
+    """Learn coefficients of observations, which the next daily update adds, while older days lose weight.
+
+    An observation y has terms x, and noise whose variance is proportional to a known one: y = x · coefficients + noise.
+    All that observations leave behind are sums of their weights, and of x x^T, x y and y^2 times their weights over the
+    known variances. Coefficients and variance follow from each other in a few rounds.
+
+    Parameters
+    ----------
+    sd : Standard deviation of each coefficient, which are 0 before any data, (n,) float.
 
     Attributes
     ----------
+    coefficients, covariance : Mean and covariance, (n,) and (n, n) float.
+    variance : Variance of the noise over the known one.
     known, today : Sums that have taken effect, and those since the last daily update.
     """
 
-    def __init__(self, **shapes: tuple[int, ...]) -> None:
+    def __init__(self, sd: Floats, noise: NoisePrior) -> None:
+        self._precision, self._noise, n = np.diag(sd**-2.0), noise, len(sd)
+        shapes: dict[str, tuple[int, ...]] = {"weight": (), "matrix": (n, n), "right": (n,), "squares": ()}
         self.known, self.today = DaySums(**shapes), DaySums(**shapes)
         self.fit()
 
-    def fit(self) -> None:
-        """Compute what follows from the known sums."""
+    def observe(self, terms: Floats, values: Floats, variance: Floats) -> None:
+        """Add m observations, with the weight of one in all, for the next daily update; the terms are (m, n)."""
+        weighted = terms.T / (len(values) * variance)
+        self.today.add("weight", 1.0)
+        self.today.add("matrix", weighted @ terms)
+        self.today.add("right", weighted @ values)
+        self.today.add("squares", np.mean(values**2 / variance))
 
     def take_day(self, memory: float, weight: float = 1.0) -> None:
         """Let the sums of the day take effect with a weight, and the known ones keep a share of theirs."""
         self.known.age(memory, self.today, weight)
         self.today.clear()
         self.fit()
+
+    def fit(self) -> None:
+        """Compute coefficients and variance from the known sums."""
+        weight, matrix, right, squares = (self.known.get(name) for name in ("weight", "matrix", "right", "squares"))
+        self.variance = self._noise.variance
+        for _ in range(_ROUNDS):
+            self.covariance = np.linalg.inv(matrix / self.variance + self._precision)
+            self.coefficients = self.covariance @ right / self.variance
+            rest = squares - 2.0 * self.coefficients @ right + self.coefficients @ matrix @ self.coefficients
+            known = self._noise.weight * self._noise.variance
+            self.variance = (known + max(float(rest), 0.0)) / (self._noise.weight + float(weight))
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -5,7 +5,7 @@ regressed on the planned one,
 
     reached = planned + x_0 + x_1 (planned - 0.8) + noise,
 
-so that the plan counts until outcomes speak against it (`socast.core.forecast.learning.daily_regression`).
+so that the plan counts until outcomes speak against it (`socast.core.totals.day_sums`).
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY
-from socast.core.forecast.learning.daily_regression import DailyRegression, NoisePrior
+from socast.core.totals.day_sums import DailyRegression, NoisePrior
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""

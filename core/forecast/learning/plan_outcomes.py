@@ -16,7 +16,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
-from socast.core.forecast.learning.daily_regression import DailyRegression, NoisePrior
+from socast.core.totals.day_sums import DailyRegression, NoisePrior
 
 PLAN_PARTS: Final = "driving", "waiting", "way_home"
 """Parts of a planned energy; no plan tells of the last one."""

@@ -303,7 +303,7 @@ def test_sd_agrees_with_simulation():
     rng, n = np.random.default_rng(1), 200_000
     spread = np.array([[2e-5, -1e-4], [-1e-4, 0.004]])
     soc, scale = rng.multivariate_normal([0.6, 0.0], spread, n).T
-    scale += CONSUMPTION_WANDER * np.sqrt(3.0) * rng.normal(size=n)
+    scale += CONSUMPTION_WANDER * np.sqrt(3.0 / 30.0) * rng.normal(size=(30, n)).cumsum(axis=0).mean(axis=0)
     energy = 8.0 * np.exp(scale) + ENERGY_SD * np.sqrt(8.0) * rng.normal(size=n)
     ends = soc - energy / 24.0 + rng.uniform(-0.005, 0.005, n)
     estimate = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)

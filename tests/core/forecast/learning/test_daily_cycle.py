@@ -77,8 +77,8 @@ def test_observations_that_come_at_once_count_like_a_sensor():
         time = SECONDS_PER_DAY * day + np.arange(0.0, SECONDS_PER_DAY, 600.0)
         cycle.add_shift(time, 3.0 * wave(3600.0 * np.floor(time / 3600.0)))
         cycle.apply_daily_update()
-    change = 3.0 * (np.mean(wave(3600.0 * np.linspace(8.0, 14.0, 500))) - wave(3600.0 * 8.0))
-    assert expected(cycle, 8.0, 6.0) - KELVIN == pytest.approx(change, rel=0.1)
+    change = 3.0 * (np.mean(wave(3600.0 * np.linspace(12.0, 16.0, 500))) - wave(3600.0 * 12.0))
+    assert expected(cycle, 12.0, 4.0) - KELVIN == pytest.approx(change, rel=0.1)
 
 
 def test_loaded_state_continues_as_uninterrupted():
