@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from socast.core.forecast import plan_tracker
+from socast.core.forecast import outlook, plan_tracker
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.learning import consumption_terms, energy_regression, fleet
 from socast.core.forecast.learning.car_driver import ConsumptionFactors
@@ -26,7 +26,7 @@ from socast.stream.mcap_reader import McapSource
 from socast.tools.bench.figures.published import NEEDED, make_parser, publish, write_table
 from socast.tools.bench.soc_forecasts import judge, judge_fleet
 
-FLEETS: Final = ("autumn", "autumn-no-shows", "small")
+FLEETS: Final = ("autumn", "autumn-no-shows", "autumn-way-home", "small")
 """Fleets on which parts are left out."""
 AHEAD: Final = 2
 """Time ahead at which forecasts are compared. [h]"""
@@ -86,6 +86,7 @@ PARTS: Final[Mapping[str, tuple[str, Callable[[], _Patches]]]] = {
     ),
     "warm-up": ("no warm-up of the shift", _fix_terms("warm_up", "warm_up_heating")),
     "plans": ("all that is planned is believed", _replace(PlanOutcomes, "apply_daily_update", _forget)),
+    "way home": ("the shift ends with the last planned leg", _replace(outlook, "WAY_HOME", NOTHING)),
     "legs": ("each ride is the next leg", _replace(plan_tracker.ActivePlan, "count_done", lambda *_: 1)),
     "cold battery": (
         "the capacity does not depend on the cold",

@@ -52,6 +52,7 @@ PARTS: Final = {
         "autumn-no-plan",
         "autumn-no-shows",
         "autumn-plans",
+        "autumn-way-home",
         "autumn-charges",
     ),
     "charges": ("charges",),

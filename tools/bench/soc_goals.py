@@ -33,7 +33,12 @@ FEWEST_SHOWN: Final = 10
 """Number of forecasts from which a time ahead is shown."""
 FEWEST_FAULTY: Final = 20
 """Number of forecasts without which a fault counts as not forecast."""
-TROUBLES: Final = {"autumn-no-plan": "no plan", "autumn-no-shows": "no-shows", "autumn-plans": "plans 50 % wrong"}
+TROUBLES: Final = {
+    "autumn-no-plan": "no plan",
+    "autumn-no-shows": "no-shows",
+    "autumn-plans": "plans 50 % wrong",
+    "autumn-way-home": "unplanned way home",
+}
 NO_PLANS: Final = ", no plans"
 """Ends the name of a recording whose plans were left out."""
 NO_CHARGES: Final = FLEETS["autumn"]

@@ -13,7 +13,7 @@ from socast.core.errors import SettingsError
 FROZEN, ABSENT, JUMPING = "frozen", "absent", "jumping"
 DISPLAY_FAULTS: Final = (FROZEN, ABSENT, JUMPING)
 """Kinds of faults of a display of the state of charge."""
-_SHARES: Final = ("waits", "no_shows", "plan_spread", "replans", "no_plan", "aged_packs")
+_SHARES: Final = ("waits", "no_shows", "plan_spread", "replans", "way_home", "no_plan", "aged_packs")
 
 
 class Spell(NamedTuple):
@@ -87,6 +87,8 @@ class Conditions:
         is common to the rides of a shift. [1]
     replans : float
         Probability at the end of each ride that dispatch replaces what it had planned after it.
+    way_home : float
+        Share of the shifts at whose end the car drives home, which no plan tells.
     no_plan : float
         Share of the shifts without any plan.
     planned_charges : bool
@@ -110,6 +112,7 @@ class Conditions:
     no_shows: float = 0.0
     plan_spread: float = 0.0
     replans: float = 0.0
+    way_home: float = 0.0
     no_plan: float = 0.0
     planned_charges: bool = False
     aged_packs: float = 0.0

@@ -196,7 +196,11 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
     if wanted.aged_packs:  # of which dispatch knows
         orders = orders._replace(estimate_factor=orders.estimate_factor / (1.0 - car.wear))
     orders = orders._replace(
-        waits=wanted.waits, no_shows=wanted.no_shows, plan_spread=wanted.plan_spread, hills=simulation.phenomena.hills
+        waits=wanted.waits,
+        no_shows=wanted.no_shows,
+        plan_spread=wanted.plan_spread,
+        way_home=wanted.way_home,
+        hills=simulation.phenomena.hills,
     )
     ambient = float(np.interp(begin, sky.time, sky.temperature))
     if simulation.charging == NIGHT:

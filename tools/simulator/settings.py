@@ -415,6 +415,7 @@ FLEETS: Final[Mapping[str, Simulation]] = MappingProxyType(
         ),
         "autumn-no-plan": _with(_SHORT, no_plan=1.0),
         "autumn-no-shows": _with(_SHORT, no_shows=0.15),
+        "autumn-way-home": _with(_SHORT, way_home=0.8),
         "autumn-plans": _with(_SHORT, plan_spread=0.5, replans=0.1),
         "autumn-charges": _with(replace(_SHORT, charging=LOW, shift_hours=8.0), planned_charges=True),
         "charges": replace(

@@ -20,6 +20,8 @@ NO_RIDE: Final = -1
 """Index of the ride between rides."""
 WAIT: Final = (600.0, 3000.0)
 """Shortest and longest wait of `Orders.waits`. [s]"""
+WAY_HOME: Final = (1000.0, 9000.0)
+"""Shortest and longest distance of a way home. [m]"""
 CANDIDATES: Final = 30
 """Number of destinations tried for a ride of a given length."""
 CLOSE_ENOUGH: Final = 0.02, 60.0
@@ -63,6 +65,7 @@ class Orders(NamedTuple):
     waits: float = 0.0
     no_shows: float = 0.0
     plan_spread: float = 0.0
+    way_home: float = 0.0
     hills: bool = True
 
 
@@ -307,6 +310,7 @@ def make_shift(
             estimate = _charge(builder, estimate, car, ambient, style, rng)
             spent = round((builder.steps - plugged) * STEP)
             interludes.append(Interlude(len(trips), builder.steps, spent, charge_to_pct=round(100 * estimate)))
+    _end_at_home(builder, orders, rng)
     timeline, length = builder.timeline(), builder.steps * STEP
     return Shift(begin, soc, timeline, trips, length, interludes=tuple(interludes))
 
@@ -426,6 +430,12 @@ def _wait_in_vain(
     builder.stand(float(rng.uniform(180, 420)), NO_RIDE, 1)
     km = float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3)) / 1000.0
     return Interlude(ride, builder.steps, round(120.0 + 155.0 * km * float(rng.lognormal(0.0, 0.2))), round(km, 2))
+
+
+def _end_at_home(builder: _TimelineBuilder, orders: Orders, rng: np.random.Generator) -> None:
+    """Drive home, if the shift ends there."""
+    if orders.way_home > 0.0 and rng.uniform() < orders.way_home:
+        _drive_to(builder, float(rng.uniform(*WAY_HOME)), NO_RIDE, 1, orders.style, 0.5, rng)
 
 
 def _smooth(values: Floats, width: int) -> Floats:

@@ -254,3 +254,15 @@ def test_loggers_have_the_periods_given_on_the_same_drives(usual):
     assert len(set(steps)) > 10
     assert announced == {"taxi-001": None, "taxi-002": 0.0}
     assert [truth.cars[name]["logger_period_s"] for name in announced] == [10.0, 0.0]
+
+
+def test_way_home_follows_the_last_ride_and_is_not_planned(long_day):
+    (before, _), (messages, truth) = long_day, simulate(LONG, way_home=1.0)
+    rest = []
+    for sent in (before, messages):
+        samples = list(decode_samples(sent))
+        last = max(i for i, sample in enumerate(samples) if sample.ride_id is not None)
+        rest.append((samples[-1].odometer_km or 0.0) - (samples[last].odometer_km or 0.0))
+    assert rest[0] < 0.1
+    assert 1.0 < rest[1] < 10.0
+    assert len(list_plans(messages)[0]["legs"]) == len(truth.rides)
