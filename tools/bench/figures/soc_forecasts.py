@@ -17,9 +17,9 @@ from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
 
 RUNS: Final = {
-    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1470-1471"),
-    "small": ("--fleet", "small", "--seeds", "1470-1475"),
-    "preset": ("--fleet", "preset", "--seeds", "1470-1471", "--rides", "8000"),
+    "autumn": ("--fleet", "autumn,trouble", "--seeds", "1500-1501"),
+    "small": ("--fleet", "small", "--seeds", "1500-1505"),
+    "preset": ("--fleet", "preset", "--seeds", "1500-1501", "--rides", "8000"),
 }
 """Fleets that are judged, with seeds on which nothing was chosen."""
 _BOTH: Final = re.compile(r"\(([\d.]+) against ([\d.]+)")
