@@ -112,7 +112,7 @@ def test_forecasts_around_planned_charges_are_judged():
 
 def test_parts_name_fleets():
     assert list_fleets("small,preset") == ["small", "preset"]
-    assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 11
+    assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 12
 
 
 @pytest.mark.usefixtures("_small")
