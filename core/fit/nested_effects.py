@@ -247,7 +247,7 @@ class LevelSums(NamedTuple):
     day, car : (rides,), (days,) int64
         As in `RideProducts`.
     of_days, of_cars : csc_array
-        What links them with vehicle-days and cars.
+        Matrices of `link_units` that add up rides by vehicle-day, and vehicle-days by car.
     """
 
     own: Floats

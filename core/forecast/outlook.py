@@ -49,7 +49,8 @@ class EnergyAhead(NamedTuple):
     Parameters
     ----------
     energy, sd : Energy, and its standard deviation beside that of the level of the shift. [kWh]
-    planned : Energy of driving, of waiting and of a way home as planned, NaN without a plan, (n, parts) float. [kWh]
+    planned : Energy of each of `PLAN_PARTS`, before the shares that `PlanOutcomes` learns, (n, parts) float; NaN
+        without a plan. [kWh]
     km : Distance of rides. [km]
     hours : Time until then. [h]
     end : When the shift ends, not before now nor before the planned legs can be driven. [s]
@@ -141,7 +142,8 @@ class UsualConsumption(NamedTuple):
     standing_power, ..., level_sd : Values of `LegEnergyTables` of the same names.
     warm_up_energy : That which is left of the warm-up of the shift. [kWh]
     covariance : The same as `LegEnergyTables.parts_covariance`, (n, 2, 2) float. [1]
-    plan_factor, plan_covariance, plan_spread : What is done of plans, see `PlanOutcomes`.
+    plan_factor, plan_covariance, plan_spread : Factor, covariance and variance of `PlanOutcomes`, (n, parts),
+        (n, parts, parts) and (n,) float.
     """
 
     weights: Floats
@@ -163,7 +165,7 @@ class UsualConsumption(NamedTuple):
         return sum_weighted(energy, self.weights)
 
     def compute_parts(self, driving: Floats, waiting: Floats, spare: Floats) -> Floats:
-        """Return the parts of planned energies, with a way home for which there is time to spare, (n, parts). [kWh]
+        """Return the energy of each of `PLAN_PARTS`, with a way home as far as the spare time allows, (n, parts). [kWh]
 
         Units: driving [kWh], waiting [kWh], spare [h].
         """
@@ -365,9 +367,10 @@ def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> 
     Notes
     -----
     With the predicted fall D = E / C, the mean falls by exp(a - c) D, where a - c decays to the usual. The variance
-    is the sum of that of the charge; D^2 times that of a - c, which keeps wandering, and that of the consumption at the
-    temperature; twice the covariance of charge and a - c times -D; the noise of the energy itself, proportional to the
-    energy; and that of the quantum of the reported outcome.
+    is the sum of that of the charge; D^2 times that of a - c, which is the present one and that of the mean of its
+    wandering over the hours T, `CONSUMPTION_WANDER`^2 T / 3; that of the predicted energy; twice the covariance of
+    charge and a - c times -D; the noise of the energy itself, proportional to the energy; and that of the quantum of
+    the reported outcome.
     D has no factor exp(a - c), so that a car which stops reporting its charge never gets a narrower interval for it.
     """
     predicted = energy.mean / estimate.capacity

@@ -197,7 +197,7 @@ class CarOutlook:
         return np.asarray(levels.T * [[1.0], [1.0], [1.0], [-1.0]])
 
     def compute_waiting_energy(self) -> float | None:
-        """Return what the car takes of the energy ahead by plan while it drives no leg; None without a plan. [kWh]"""
+        """Return the energy ahead beside the legs: waits, empty ways and the way home; None without a plan. [kWh]"""
         if not self.is_planned:
             return None
         parts = (self.ahead.planned * self.now.usual.plan_factor)[:, 1:]

@@ -264,7 +264,7 @@ class _Level(NamedTuple):
     parent : (units,) int64 or None
         Unit of the level above.
     above : csc_array or None
-        What links the units with them.
+        Matrix of `link_units` that adds up the units by those of the level above.
     group : (units,) int64
         Group of each unit; not used where units span groups.
     groups : list of slice

@@ -96,12 +96,12 @@ def sum_products(columns: Floats, weight: Floats, unit: Ints) -> Floats:
 
 
 def link_units(parent: Ints) -> csc_array:
-    """Return the matrix of the units of the level above, whose codes have no gap, by their units."""
+    """Return the matrix, (parents, units), that adds up units by their parents, whose codes have no gap."""
     return csc_array((np.ones(len(parent)), parent, np.arange(len(parent) + 1)), (int(parent.max()) + 1, len(parent)))
 
 
 def sum_units(sums: Floats, parent: Ints | csc_array) -> Floats:
-    """Return the sums of the units of the level above, given their codes or, for many calls, what links them."""
+    """Return the sums of units by their parents, given as codes or, for many calls, as the matrix of `link_units`."""
     # a product with a sparse matrix takes a tenth of the time of `np.add.reduceat` along the first axis
     adding = link_units(parent) if isinstance(parent, np.ndarray) else parent
     return np.asarray(adding @ sums.reshape(len(sums), -1)).reshape(-1, *sums.shape[1:])

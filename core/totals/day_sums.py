@@ -52,27 +52,28 @@ class DaySums:
 
 
 class NoisePrior(NamedTuple):
-    """Hold the variance of the noise before any data, and the number of observations whose weight it has."""
+    """Hold the variance of the noise before any data, and the number of observations that it counts as."""
 
     variance: float
     weight: float
 
 
 class DailyRegression:
-    """Learn coefficients of observations, which the next daily update adds, while older days lose weight.
+    """Learn the coefficients of a linear regression day by day, where older days lose weight.
 
-    An observation y has terms x, and noise whose variance is proportional to a known one: y = x · coefficients + noise.
-    All that observations leave behind are sums of their weights, and of x x^T, x y and y^2 times their weights over the
-    known variances. Coefficients and variance follow from each other in a few rounds.
+    An observation y has terms x: y = x · coefficients + noise, where the variance of the noise is v times a given one,
+    g. Observations are kept as sums: of their weights w, and of w x x^T / g, w x y / g and w y^2 / g. Coefficients and
+    v are computed from each other in a few rounds.
 
     Parameters
     ----------
-    sd : Standard deviation of each coefficient, which are 0 before any data, (n,) float.
+    sd : Standard deviation of each coefficient before any data, (n,) float; the mean is 0.
+    noise : Prior of v.
 
     Attributes
     ----------
     coefficients, covariance : Mean and covariance, (n,) and (n, n) float.
-    variance : Variance of the noise over the known one.
+    variance : Variance v of the noise over the given one.
     known, today : Sums that have taken effect, and those since the last daily update.
     """
 
@@ -83,7 +84,7 @@ class DailyRegression:
         self.fit()
 
     def observe(self, terms: Floats, values: Floats, variance: Floats) -> None:
-        """Add m observations, with the weight of one in all, for the next daily update; the terms are (m, n)."""
+        """Add m observations, each with the weight 1/m, for the next daily update; terms (m, n), the others (m,)."""
         weighted = terms.T / (len(values) * variance)
         self.today.add("weight", 1.0)
         self.today.add("matrix", weighted @ terms)

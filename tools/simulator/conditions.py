@@ -88,7 +88,7 @@ class Conditions:
     replans : float
         Probability at the end of each ride that dispatch replaces what it had planned after it.
     way_home : float
-        Share of the shifts at whose end the car drives home, which no plan tells.
+        Share of the shifts at whose end the car drives home, which is in no plan.
     no_plan : float
         Share of the shifts without any plan.
     planned_charges : bool

@@ -22,7 +22,7 @@ CENTRE: Final = 0.8
 PRIOR_SD: Final = np.array([0.05, 0.5])
 """Standard deviation of each coefficient before any outcome; with -1, cars charge to the same whatever the plan. [1]"""
 NOISE: Final = NoisePrior(0.05**2, 4.0)
-"""Variance of the noise before any outcome [1], with the weight of some charges."""
+"""Variance of the noise before any outcome [1], with the weight of as many charges."""
 
 
 class ChargedSoc(DailyRegression):

@@ -19,8 +19,8 @@ HOURS: Final = 24
 PRIOR_DAYS: Final = 2.0
 """Number of days whose weight the prior has, by which the temperature does not change."""
 STEP: Final = 3000.0, 7200.0
-"""Shortest and longest time between two temperatures of which the change counts: in less, a car passes from street to
-street, and an observation of a station comes at once. [s]"""
+"""Shortest and longest time between two temperatures whose change counts. Over a shorter time, the change is that from
+street to street, or the step to the next hourly observation of a station. [s]"""
 WHOLE_OBSERVATION: Final = 900.0
 """Time for which an hour must be observed to count as a whole. [s]"""
 LARGEST_RATE: Final = 6.0

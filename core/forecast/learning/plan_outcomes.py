@@ -1,7 +1,7 @@
 """Learn how far shifts go as planned: how much driving and waiting is left out, or comes on top, and the way home.
 
-Passengers do not come, rides are longer than planned, cars are sent elsewhere, and drive home in the end, of which no
-plan tells. What a car does after a forecast takes an energy by the tables of its vehicle model, and so does what was
+Passengers do not come, rides are longer than planned, cars are sent elsewhere, and in the end they drive home, which is
+in no plan. What a car does after a forecast takes an energy by the tables of its vehicle model, and so does what was
 planned. The first is regressed on the planned energy of driving and of waiting, and on that of a way home,
 
     energy done = f_driving driving + f_waiting waiting + f_home way home + noise,
@@ -19,16 +19,16 @@ from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
 from socast.core.totals.day_sums import DailyRegression, NoisePrior
 
 PLAN_PARTS: Final = "driving", "waiting", "way_home"
-"""Parts of a planned energy; no plan tells of the last one."""
+"""Parts of the energy that is expected of a plan; the way home is in no plan."""
 _HOME: Final = PLAN_PARTS.index("way_home")
 WAY_HOME: Final = 5.0
-"""Distance of the way home that counts once; how much of it is driven is learned. [km]"""
+"""Distance of a way home whose learned share is 1. [km]"""
 PRIOR_MEAN: Final = np.array([1.0, 1.0, 0.0])
 PRIOR_SD: Final = np.array([0.1, 0.2, 0.7])
 """Mean and standard deviation of the share that is done of each part, before any outcome. [1]"""
 SPREAD: Final = NoisePrior(0.05, 10.0)
 """Variance of the energy of what is done beside that of 1 kWh that is planned, before any outcome [kWh^2/kWh], with the
-weight of some shifts."""
+weight of as many shifts."""
 LEAST_KWH: Final = 0.2
 """Expected energy from which a forecast teaches. [kWh]"""
 LARGEST_RESIDUAL_SDS: Final = 3.0
@@ -43,7 +43,7 @@ class PlanOutcomes(DailyRegression):
     Attributes
     ----------
     factor, covariance : Energy done over planned energy of each part, (parts,), and their covariance. [1]
-    variance : That of the energy done beside that of 1 kWh that is planned. [kWh^2/kWh]
+    variance : Variance of the energy that is done where 1 kWh is expected. [kWh^2/kWh]
     """
 
     def __init__(self) -> None:
@@ -72,5 +72,5 @@ class PlanOutcomes(DailyRegression):
         super().fit()
         factor = PRIOR_MEAN + self.coefficients
         of_home = self.covariance[_HOME] / self.covariance[_HOME, _HOME]
-        factor -= of_home * min(factor[_HOME], 0.0)  # given that a way home is not below none
+        factor -= of_home * min(factor[_HOME], 0.0)  # most probable where that of the way home is not negative
         self.factor = np.clip(factor, *FACTOR_LIMITS)

@@ -32,7 +32,7 @@ def test_share_that_is_done_is_recovered(shares):
 
 
 def test_no_way_home_is_less_than_none():
-    """Rides shorter than planned are that, and no way home below zero that the driving would make up for."""
+    """A shortfall of the energy lowers the shares of driving and waiting, not that of the way home below zero."""
     outcomes = learn(20, driving=0.9, way_home=-0.4)
     assert outcomes.factor[2] == 0.0
     assert outcomes.factor[:2] @ [5.0, 1.0] == pytest.approx(0.9 * 5.0 + 1.0 - 0.4 * 0.8, abs=0.25)
