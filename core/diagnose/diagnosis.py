@@ -32,7 +32,7 @@ from socast.core.diagnose.deviations import describe_deviations, list_credible, 
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.inference.alternatives import add_dates, count_dates
+from socast.core.diagnose.inference.alternatives import count_dates
 from socast.core.diagnose.inference.events import KnownEvent
 from socast.core.diagnose.inference.form_search import FormSearch
 from socast.core.diagnose.inference.groups import list_groups
@@ -65,6 +65,7 @@ from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
 from socast.core.records import make_interval
 from socast.core.stats.evidence import ClusterSums
+from socast.core.stats.random_effects import link_units
 
 LEAST_DAYS_FOR_SCOPES: Final = 12
 """Vehicle-days below which effects are not tested within scopes."""
@@ -272,7 +273,7 @@ def _describe_missing(finding: MissingEffect, selection: Selection, candidates: 
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
-        effective_dates=float(count_dates(np.abs(energy)[np.newaxis], add_dates(seen.date))[0]),
+        effective_dates=float(count_dates(np.abs(energy)[np.newaxis], link_units(seen.date))[0]),
         z=size.value / size.error,
         coefficient=coefficient,
         words=effect.in_words(size.value, size.ci95),

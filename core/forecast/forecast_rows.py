@@ -187,7 +187,7 @@ def create_records(row: NDArray[np.void]) -> tuple[ForecastRecord, ForecastRecor
     """Return the records of the forecasts of a FORECAST_ROW: for the end of the shift, and for a planned charge."""
     end, charge = _create_record(row, _OF_END), _create_record(row, _OF_CHARGE)
     if end.basis == OVER_CHARGE:
-        end = end._replace(driving=nan, waiting=nan)
+        end = end._replace(driving_kwh=nan, waiting_kwh=nan)
     return end, charge._replace(end=inf, basis=TO_CHARGE) if isfinite(charge.mean) else None
 
 

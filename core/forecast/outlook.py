@@ -261,15 +261,22 @@ def schedule_plan(
 
 
 def compute_planned_energy(
-    progress: NDArray[np.void], times: PlanTimes, time: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
+    progress: NDArray[np.void],
+    times: PlanTimes,
+    time: Floats,
+    riding: NDArray[np.bool_],
+    usual: UsualConsumption,
+    *,
+    drives_home: bool = True,
 ) -> EnergyAhead:
-    """Return the energy ahead by plan, until the next planned charge, or else the end of the shift."""
+    """Return the energy ahead by plan, until the next planned charge, or else the end of the shift and the way home."""
     left, kept, has_charge = times.left, times.kept, progress["charges"] > 0.0
     whole, begun, later = (usual.weigh(progress[name]) for name in ("leg_kwh", "begun_kwh", "later_kwh"))
     approaches = times.approaches + has_charge  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy + usual.warm_up_energy
     driving = np.where(riding, left * begun, kept * whole) + kept * later
-    parts = usual.compute_parts(driving, idling, np.where(has_charge, 0.0, times.waiting))
+    spare = np.where(progress["legs"] > 0.0, np.inf, times.waiting)  # after the last leg, it may be driven in part
+    parts = usual.compute_parts(driving, idling, np.where(drives_home & ~has_charge, spare, 0.0))
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.expect_plan(parts)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean

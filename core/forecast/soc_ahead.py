@@ -198,4 +198,5 @@ def compute_energy_after_charges(progress: NDArray[np.void], times: PlanTimes, u
     """Return the energy from the last planned charge to the end of the shift. [kWh]"""
     driving = usual.weigh(progress["after_kwh"])
     waiting = times.waiting_after * usual.standing_power + progress["after_legs"] * usual.approach_energy
-    return usual.expect_plan(usual.compute_parts(driving, waiting, times.waiting_after))
+    spare = np.where(progress["after_legs"] > 0.0, np.inf, times.waiting_after)
+    return usual.expect_plan(usual.compute_parts(driving, waiting, spare))

@@ -117,7 +117,8 @@ class CarOutlook:
             queried = queried._replace(energy=sure * queried.energy, begun_energy=sure * queried.begun_energy)
             self.legs = self.legs.insert(first, queried)
         progress, times = self._schedule(drives_all=True)
-        self.ahead = compute_planned_energy(progress, times, now.time, np.array([self.in_progress]), now.usual)
+        of_plan = progress, times, now.time, np.array([self.in_progress]), now.usual
+        self.ahead = compute_planned_energy(*of_plan, drives_home=self.is_planned)
         if not self.is_planned:
             self.ahead = _add_history(self.ahead, leg is not None, now)
         return forecast_soc_ahead(now, self.ahead, progress, times)

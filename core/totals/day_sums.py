@@ -105,8 +105,8 @@ class DailyRegression:
             self.covariance = np.linalg.inv(matrix / self.variance + self._precision)
             self.coefficients = self.covariance @ right / self.variance
             rest = squares - 2.0 * self.coefficients @ right + self.coefficients @ matrix @ self.coefficients
-            known = self._noise.weight * self._noise.variance
-            self.variance = (known + max(float(rest), 0.0)) / (self._noise.weight + float(weight))
+            prior = self._noise.weight * self._noise.variance
+            self.variance = (prior + max(float(rest), 0.0)) / (self._noise.weight + float(weight))
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -325,7 +325,7 @@ class Outlook(Wire, omit_defaults=False):
         float | None,
         means(
             "Energy of waits, with heating, and of empty ways until the next planned charge, or else the "
-            "end of the shift; null without a plan. [kWh]"
+            "end of the shift, with the way home that no plan tells; null without a plan. [kWh]"
         ),
     ] = None
 

@@ -24,6 +24,11 @@ LOW_RISK: Final = 0.05
 """Probability of falling below the reserve under which the answer is YES. [1]"""
 HIGH_RISK: Final = 0.5
 """Probability of falling below the reserve above which the answer is NO. [1]"""
+BESIDES: Final = (
+    "waiting, heating, empty ways and the way home until the end of the shift",
+    "waiting, heating and empty ways until the next charge",
+)
+"""What takes energy beside the legs, without and with a planned charge."""
 LEAST_KWH: Final = 0.05
 """Energy of waiting from which it is shown. [kWh]"""
 SURE_CAPACITY: Final = 0.1
@@ -158,8 +163,7 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
     if outlook.legs:
         yield "then planned", _planned(outlook.legs)
     if outlook.waiting_energy_kwh is not None and outlook.waiting_energy_kwh >= LEAST_KWH:
-        until = "the next charge" if outlook.next_charge else "the end of the shift"
-        yield "besides", f"{outlook.waiting_energy_kwh:.1f} kWh for waiting, heating and empty ways until {until}"
+        yield "besides", f"{outlook.waiting_energy_kwh:.1f} kWh for {BESIDES[bool(outlook.next_charge)]}"
     if outlook.soc_pct is not None:
         yield "now", _now(outlook, zone)
     capacity, sd = outlook.usable_capacity_kwh, outlook.usable_capacity_sd_kwh

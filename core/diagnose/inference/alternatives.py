@@ -16,6 +16,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.scopes import Family
 from socast.core.diagnose.inference.window_columns import WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
+from socast.core.stats.random_effects import link_units
 
 LEAST_LEFT: Final = 0.01
 """Share of the squared size of a column that the base must be unable to explain."""
@@ -115,7 +116,7 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
     for number, family in enumerate(families):
         weight = np.array([place.weight for place in family.places])
         amount = (weight > 0.0).astype(np.float64) @ measured[family.days]
-        adding = add_dates(columns.date_of_day[family.days])
+        adding = link_units(columns.date_of_day[family.days])
         of_family: list[tuple[float, int, int, float]] = []
         for effect in family.effects:
             size = family.size * columns.find_largest(effect)
@@ -159,11 +160,6 @@ def select_alternatives(model: WindowModel, families: list[Family], kept: Altern
         match=match,
         identified=frozenset(identified),
     )
-
-
-def add_dates(date: Ints) -> csc_array:
-    """Return the matrix that adds up the energies of days to those of dates."""
-    return csc_array((np.ones(len(date)), date, np.arange(len(date) + 1)))
 
 
 def count_dates(energy: Floats, adding: csc_array) -> Floats:

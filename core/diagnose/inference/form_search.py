@@ -22,11 +22,12 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forms.building_blocks import CARRIERS, VARIABLES
 from socast.core.diagnose.forms.suggestion import format_formula
 from socast.core.diagnose.forms.terms import FormTerm, Modulator, list_modulators
-from socast.core.diagnose.inference.alternatives import LEAST_LEFT, add_dates, count_dates, factorise_free, weigh_alone
+from socast.core.diagnose.inference.alternatives import LEAST_LEFT, count_dates, factorise_free, weigh_alone
 from socast.core.diagnose.inference.loads import find_load
 from socast.core.diagnose.inference.window_columns import UnknownForm
 from socast.core.diagnose.inference.window_model import WindowModel
 from socast.core.effects.declaration import VARIANT
+from socast.core.stats.random_effects import link_units
 
 SHARE: Final = 0.05
 """Standard deviation beforehand of the energy of a form, as a share of all energy. [1]"""
@@ -195,7 +196,7 @@ class _Evidence:
         self._lower = np.linalg.cholesky(np.eye(size) + model.total[:size, :size])
         self._energy = solve_triangular(self._lower, model.total[:size, size], lower=True)
         self._free = factorise_free(model)
-        self._adding = add_dates(model.columns.date_of_day[model.columns.day])
+        self._adding = link_units(model.columns.date_of_day[model.columns.day])
 
     def compute(self, energy: Floats, size: Floats) -> Floats:
         """Return the log evidence of each form alone; minus infinity where a free base could explain it.

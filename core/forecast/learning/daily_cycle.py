@@ -21,7 +21,7 @@ PRIOR_DAYS: Final = 2.0
 STEP: Final = 3000.0, 7200.0
 """Shortest and longest time between two temperatures whose change counts. Over a shorter time, the change is that from
 street to street, or the step to the next hourly observation of a station. [s]"""
-WHOLE_OBSERVATION: Final = 900.0
+WHOLE_OBSERVATION: Final = 9000.0
 """Time for which an hour must be observed to count as a whole. [s]"""
 LARGEST_RATE: Final = 6.0
 """A temperature that changes faster is that of another place, such as a garage. [K/h]"""

@@ -36,7 +36,7 @@ class ForecastRecord(NamedTuple):
     ambient_c : Outside temperature. [°C]
     mean, sd : Forecast charge and its standard deviation. [1]
     lower, upper : Bounds of the published charge, NaN without an interval. [1]
-    driving, waiting, way_home : Planned energy until then, and that of a way home, NaN without a plan and with
+    driving_kwh, waiting_kwh, way_home_kwh : Energy of `PLAN_PARTS` until then, NaN without a plan and with
         `OVER_CHARGE`. [kWh]
     predicted, level : Energy predicted since the car woke [kWh], and the level of `LegEnergyTables` [1].
     """
@@ -50,9 +50,9 @@ class ForecastRecord(NamedTuple):
     sd: float
     lower: float = nan
     upper: float = nan
-    driving: float = nan
-    waiting: float = nan
-    way_home: float = nan
+    driving_kwh: float = nan
+    waiting_kwh: float = nan
+    way_home_kwh: float = nan
     predicted: float = nan
     level: float = nan
 
@@ -122,10 +122,10 @@ class ShiftErrors(NamedTuple):
     def load(cls, state: Any) -> "ShiftErrors":
         """Return the errors that `dump` returned; raise ValueError where their numbers do not fit."""
         records, scores, done, outcomes = state
-        sums = np.frombuffer(scores), np.frombuffer(done), np.frombuffer(outcomes, np.int64)
-        known = cls(np.frombuffer(records, FORECAST_RECORDS), *sums)
+        rest = np.frombuffer(scores), np.frombuffer(done), np.frombuffer(outcomes, np.int64)
+        known = cls(np.frombuffer(records, FORECAST_RECORDS), *rest)
         if not len(known.records) == len(known.scores) == len(known.done) > 0:
-            raise ValueError("errors of forecasts of another number")
+            raise ValueError("scores or energies of another number than the forecasts")
         return known
 
 

@@ -18,9 +18,9 @@ from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
 from socast.core.totals.day_sums import DailyRegression, NoisePrior
 
-PLAN_PARTS: Final = "driving", "waiting", "way_home"
+PLAN_PARTS: Final = "driving_kwh", "waiting_kwh", "way_home_kwh"
 """Parts of the energy that is expected of a plan; the way home is in no plan."""
-_HOME: Final = PLAN_PARTS.index("way_home")
+_HOME: Final = PLAN_PARTS.index("way_home_kwh")
 WAY_HOME: Final = 5.0
 """Distance of a way home whose learned share is 1. [km]"""
 PRIOR_MEAN: Final = np.array([1.0, 1.0, 0.0])
@@ -58,7 +58,8 @@ class PlanOutcomes(DailyRegression):
         rows = np.flatnonzero(np.isfinite(expected + done) & (expected > LEAST_KWH))
         if len(rows):
             planned, expected = planned[rows], expected[rows]
-            limit = LARGEST_RESIDUAL_SDS * np.sqrt(self.variance * expected)
+            of_shares = np.einsum("ni,ij,nj->n", planned, self.covariance, planned)
+            limit = LARGEST_RESIDUAL_SDS * np.sqrt(self.variance * expected + of_shares)
             clipped = expected + np.clip(done[rows] - expected, -limit, limit)
             self.observe(planned, clipped - planned @ PRIOR_MEAN, expected)
 

@@ -188,7 +188,7 @@ class CarPage {
         el("td", { class: "number" }, bounded(leg.energy_kwh, 2)), el("td", { class: "number" }, bounded(leg.soc_pct, 0)));
     });
     if (waiting !== null) {
-      rows.push(el("tr", {}, el("td", {}), el("td", { colspan: 4 }, `waiting, heating and empty ways until ${until}`),
+      rows.push(el("tr", {}, el("td", {}), el("td", { colspan: 4 }, outlook.next_charge ? "waiting, heating and empty ways until the next charge" : "waiting, heating, empty ways and the way home until the end of the shift"),
         el("td", { class: "number" }, number(waiting, 2)), el("td", {})));
     }
     return el("div", {}, el("div", { class: "table-frame legs-frame", tabindex: 0, role: "region", "aria-label": "Legs of the plan" }, el("table", {},

@@ -108,11 +108,11 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
 
 
 def test_what_was_done_of_a_plan_is_known_also_where_the_display_failed():
-    planned = note(600.0)._replace(driving=4.0, waiting=1.0, way_home=0.5, predicted=2.0, level=0.1)
+    planned = note(600.0)._replace(driving_kwh=4.0, waiting_kwh=1.0, way_home_kwh=0.5, predicted=2.0, level=0.1)
     ended = Outcome(0.4, faulty=900.0, predicted=6.6, level=0.0)
     (errors,) = compute_shift_errors(np.array([planned], FORECAST_RECORDS), ended)
     assert count(errors) == 0
-    assert errors.records[["driving", "waiting", "way_home"]].tolist() == [(4.0, 1.0, 0.5)]
+    assert errors.records[["driving_kwh", "waiting_kwh", "way_home_kwh"]].tolist() == [(4.0, 1.0, 0.5)]
     assert errors.done == pytest.approx(6.6 * np.exp(0.1) - 2.0)
     (charged,) = compute_shift_errors(np.array([planned], FORECAST_RECORDS), ended._replace(charged=700.0))
     assert np.isnan(charged.done).all()

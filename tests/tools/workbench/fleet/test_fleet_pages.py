@@ -11,6 +11,7 @@ from playwright.sync_api import expect
 
 from socast.core.wire.messages import Finding, Forecast, Message, encode
 from socast.tools.bench.workbench import BoardSource, make_fleet_messages
+from socast.tools.commands.ask import BESIDES
 from socast.tools.workbench.fleet.alarms import list_alarms
 from socast.tools.workbench.fleet.board import Board
 from socast.tools.workbench.jobs import Jobs
@@ -242,7 +243,7 @@ def test_plan_ends_with_the_energy_of_waiting_that_the_range_leaves_out(visit, p
     row = visit.page.locator(".legs-frame tbody tr").last
     row.wait_for()
     waiting = player.ask("taxi-001", {}).waiting_energy_kwh
-    assert row.text_content() == f"waiting, heating and empty ways until the end of the shift{waiting:.2f}"
+    assert row.text_content() == f"{BESIDES[False]}{waiting:.2f}"
 
 
 def test_car_whose_shift_is_over_is_named_so_and_has_no_risk(browser):
