@@ -85,8 +85,8 @@ def test_plans_are_left_out():
 def test_change_of_healthy_cars_is_found():
     same = [make_judged("autumn-faults"), make_judged("autumn-short")]
     assert find(soc_goals.check_goals(same), "healthy cars").verdict == "met"
-    other = [make_judged("autumn-faults", change=0.3), make_judged("autumn-short")]
-    assert find(soc_goals.check_goals(other), "healthy cars").measured.startswith("at most 0.30")
+    other = [make_judged("autumn-faults", change=1.3), make_judged("autumn-short")]
+    assert find(soc_goals.check_goals(other), "healthy cars").measured.startswith("at most 1.30")
 
 
 def test_last_leg_before_a_charge_is_judged():
