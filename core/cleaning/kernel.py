@@ -315,7 +315,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
         state.heading,
         state.elevation,
     )
-    row.soc = state.soc if state.soc_age <= max(meters.SOC_HELD, state.elapsed) else nan  # older: before the ride
+    row.soc = state.soc if state.soc_age <= max(meters.SOC_HELD, state.elapsed) else nan  # from before the ride
     row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
     row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
     row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power

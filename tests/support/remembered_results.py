@@ -31,7 +31,7 @@ def diagnosing_once() -> Iterator[None]:
     diagnose_once, add_effect = _remember(diagnosis.diagnose), _remember(add.add_effect)
 
     def diagnose(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, **options: Any) -> Diagnosis:
-        """Diagnose models that differ by name alone once; of the name, a result has nothing but itself."""
+        """Diagnose models that differ by name alone once: the name is in the result, and affects nothing else."""
         found = diagnose_once(rides, windows, replace(model, name=""), **options)
         return replace(found, model=replace(found.model, name=model.name))
 
