@@ -25,8 +25,8 @@ LOW_RISK: Final = 0.05
 HIGH_RISK: Final = 0.5
 """Probability of falling below the reserve above which the answer is NO. [1]"""
 BESIDES: Final = (
-    "waiting, heating, empty ways and the way home until the end of the shift",
-    "waiting, heating and empty ways until the next charge",
+    "waiting, heating, empty ways and the way home",
+    "waiting, heating and empty ways to the next charge",
 )
 """What takes energy beside the legs, without and with a planned charge."""
 LEAST_KWH: Final = 0.05

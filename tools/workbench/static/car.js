@@ -174,9 +174,9 @@ class CarPage {
 
   makeLegs({ outlook, values }) {
     const waiting = outlook?.waiting_energy_kwh ?? null;
-    const until = outlook?.next_charge ? "the next charge" : "the end of the shift";
+    const besides = outlook?.next_charge ? "waiting, heating and empty ways to the next charge" : "waiting, heating, empty ways and the way home";
     if (!outlook?.legs.length) {
-      const rest = waiting === null ? "" : ` Waiting and heating until ${until} take ${quantity(waiting, "kWh", 2)}.`;
+      const rest = waiting === null ? "" : ` Ahead are ${quantity(waiting, "kWh", 2)} for ${besides}.`;
       return el("p", { class: "soft" }, `No leg of a plan is ahead.${rest}`);
     }
     const ahead = new LegSchedule(outlook, Boolean(values.riding));
@@ -188,7 +188,7 @@ class CarPage {
         el("td", { class: "number" }, bounded(leg.energy_kwh, 2)), el("td", { class: "number" }, bounded(leg.soc_pct, 0)));
     });
     if (waiting !== null) {
-      rows.push(el("tr", {}, el("td", {}), el("td", { colspan: 4 }, outlook.next_charge ? "waiting, heating and empty ways until the next charge" : "waiting, heating, empty ways and the way home until the end of the shift"),
+      rows.push(el("tr", {}, el("td", {}), el("td", { colspan: 4 }, besides),
         el("td", { class: "number" }, number(waiting, 2)), el("td", {})));
     }
     return el("div", {}, el("div", { class: "table-frame legs-frame", tabindex: 0, role: "region", "aria-label": "Legs of the plan" }, el("table", {},
